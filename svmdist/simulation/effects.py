@@ -29,7 +29,6 @@ BUMP_SLOPE, BUMP_CELLS, BUMP_SPAN_M, BUMP_PX = 0.10, 40, 0.07, 512
 """Slopes (standard deviation) of the film over bumps of 1.75 mm; a texture that repeats every 70 mm."""
 BLOOD_BGR, BLOOD_WAVE_COUNT, BLOOD_WAVELENGTHS_M = np.array([18.0, 14.0, 118.0]), 12, (0.003, 0.009)
 _BUMP_STREAM, _BLOOD_STREAM = 105, 106
-NO_PART = -1
 Depths = NDArray[np.float32]
 Points = NDArray[np.float32]  # images of positions, shape (h, w, 3): a float32 resolves 10 nm at 0.1 m
 
@@ -65,8 +64,8 @@ class Surfaces:
     depth_m: Depths
     behind_m: Depths  # of tissue and floor, also where something is before them
     is_still: NDArray[np.bool_]  # where they are seen
-    part: NDArray[np.int16]  # numbers these frames, or is NO_PART
-    T_camera_part: tuple[Array, ...]
+    bodies: NDArray[np.int64]
+    T_camera_part: dict[int, Array]  # of the bodies that are parts of instruments
 
     def points_m(self, depth_m: Depths) -> Points:
         """The points at depths, shape (h, w), in the camera's frame, shape (h, w, 3)."""
@@ -123,8 +122,8 @@ class Shader:
         """Put blood onto the parts: patches that stay where they are on each."""
         points_m = surfaces.points_m(surfaces.depth_m)
         above = NormalDist().inv_cdf(1.0 - self._strength["blood"])  # a sum of waves is nearly normal
-        for index, T_camera_part in enumerate(surfaces.T_camera_part):
-            here = surfaces.part == index
+        for body, T_camera_part in surfaces.T_camera_part.items():
+            here = surfaces.bodies == body
             p_m = transform_points(inverse(T_camera_part), points_m[here])
             waves = np.cos(p_m @ self._blood_waves.T + self._blood_phases).sum(axis=1)
             share = np.clip(0.5 + 4.0 * (waves / np.sqrt(0.5 * BLOOD_WAVE_COUNT) - above), 0.0, 0.95)[:, None]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from svmdist.camera import R_OPENGL_OPENCV, Camera
 from svmdist.samples import Image
 from svmdist.simulation.bullet import BulletWorld, quiet
-from svmdist.simulation.effects import DISTORTION, LAMP_M, NO_PART, Depths, Lens, Shader, Surfaces
+from svmdist.simulation.effects import DISTORTION, LAMP_M, Depths, Lens, Shader, Surfaces
 from svmdist.simulation.meshes import DrawnMesh, Part, Rgba, floor_texture, make_floor, make_retractor, tissue_texture
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.plan import SceneState
@@ -105,7 +105,6 @@ class Renderer(BulletWorld):
         self._dented: int | None = None
         self._moving: dict[int, Array] = {}  # where bodies stand
         self._still: dict[int, Array] = {}
-        self._shown: tuple[bool, bool] | None = None
         self._backgrounds: dict[tuple[int, int], Picture] = {}
         self._background_of: tuple[float, Organ | None] = (0.0, None)
 
@@ -113,7 +112,7 @@ class Renderer(BulletWorld):
         """Place everything; an organ that is not at rest is rendered instead of the scene's."""
         if self._background_of != (state.offset_m, organ):
             self._backgrounds.clear()
-        self._background_of, self._shown = (state.offset_m, organ), None
+        self._background_of = (state.offset_m, organ)
         poses = [scene.part_poses(q) for scene, q in zip(self._scenes, state.q, strict=True)]
         self._moving = dict(zip(self._parts, np.concatenate(poses), strict=True))
         self._moving[self._retractor] = _AWAY if state.T_world_retractor is None else state.T_world_retractor
@@ -155,11 +154,9 @@ class Renderer(BulletWorld):
 
     def _picture(self, T_world_camera: Array, turn: int, *, moving: bool = True, still: bool = True) -> Picture:
         """Take the picture that is number `turn` of a recording, of what moves and of what is still, or one of them."""
-        if self._shown != (moving, still):
-            for bodies, is_shown in ((self._moving, moving), (self._still, still)):
-                for body, T_world_body in bodies.items():
-                    self.place(body, T_world_body if is_shown else _AWAY)
-            self._shown = moving, still
+        for bodies, is_shown in ((self._moving, moving), (self._still, still)):
+            for body, T_world_body in bodies.items():
+                self.place(body, T_world_body if is_shown else _AWAY)
         # OpenGL's matrices have 16 numbers, column by column.
         view = (make_transform(R_OPENGL_OPENCV, np.zeros(3)) @ inverse(T_world_camera)).T.ravel().tolist()
         matrices = {"viewMatrix": view, "projectionMatrix": projection_matrix(self._camera)}
@@ -178,14 +175,11 @@ class Renderer(BulletWorld):
         """A picture in the light of its lamp; `behind` is the depth buffer of tissue and floor alone."""
         if self._shader is None:
             return picture.image_bgr
-        part = np.full(picture.bodies.shape, NO_PART, np.int16)
-        for number, body in enumerate(self._parts):
-            part[picture.bodies == body] = number
-        is_still = (part == NO_PART) & (picture.bodies != self._retractor)
+        is_still = np.isin(picture.bodies, [*self._moving], invert=True)
         T_camera_world = inverse(T_world_camera)
         depth_m, behind_m = metric_depth_m(picture.depth), metric_depth_m(behind)
-        T_camera_part = tuple(T_camera_world @ self._moving[body] for body in self._parts)
-        surfaces = Surfaces(self._camera, depth_m, behind_m, is_still, part, T_camera_part)
+        T_camera_part = {body: T_camera_world @ self._moving[body] for body in self._parts}
+        surfaces = Surfaces(self._camera, depth_m, behind_m, is_still, picture.bodies, T_camera_part)
         lamp_world_m = transform_points(self._scene.T_world_camera, LAMP_M[None])[0]
         T_world_lamp = make_transform(T_world_camera[:3, :3], lamp_world_m)
         lamp_m, lamp_depth_m = (T_camera_world @ T_world_lamp)[:3, 3], None

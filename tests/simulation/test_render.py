@@ -157,7 +157,7 @@ def test_the_lens_undoes_opencvs_distortion(scene, strength):
 def floor(depth_m: float = FLOOR_M) -> effects.Surfaces:
     """A floor across the camera's axis, and nothing before it."""
     depths = np.full(SHAPE, depth_m, np.float32)
-    return effects.Surfaces(CAMERA, depths, depths, np.ones(SHAPE, bool), np.full(SHAPE, effects.NO_PART, np.int16), ())
+    return effects.Surfaces(CAMERA, depths, depths, np.ones(SHAPE, bool), np.zeros(SHAPE, np.int64), {})
 
 
 def shaded(
