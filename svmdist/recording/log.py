@@ -18,8 +18,7 @@ from svmdist.errors import RecordingError, did_you_mean
 from svmdist.files import files_of, open_regular, reading
 from svmdist.kinematics import DHChain, chain_of
 from svmdist.perturbations import Perturbations
-from svmdist.perturbations.calibration import nominal_camera
-from svmdist.perturbations.joints import ReplayedWorld
+from svmdist.perturbations.apply import ReplayedWorld, nominal_camera
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
 from svmdist.recording.contents import Contents, LogFile, TransformTree, in_order, joint_rows

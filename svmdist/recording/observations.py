@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import UsageError
 from svmdist.perturbations import Perturbations
-from svmdist.perturbations.calibration import nominal_camera
+from svmdist.perturbations.apply import nominal_camera
 from svmdist.recording.images import ImageError
 from svmdist.recording.messages import EncodedImage
 from svmdist.recording.source import Health, Loss, LossKind

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from svmdist.kinematics import DHChain, chain_of, forward_kinematics, link_transforms
 from svmdist.perturbations import Place
-from svmdist.perturbations.calibration import built_profile
-from svmdist.perturbations.joints import JointUnits, reported_joints, reported_late
+from svmdist.perturbations.apply import JointUnits, built_profile, reported_joints, reported_late
 from svmdist.profile import Profile
 from svmdist.samples import JointSample, PoseSample, Sample, TransformSample
 from svmdist.simulation.motion import Scenario, make_other_arms, make_trajectory

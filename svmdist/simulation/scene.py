@@ -13,7 +13,7 @@ from svmdist.camera import Camera
 from svmdist.errors import SimulationError
 from svmdist.kinematics import DHChain, chain_of, frame_transforms, row_index
 from svmdist.perturbations import UNPERTURBED, Perturbations, World
-from svmdist.perturbations.calibration import plane_tilt, right_turn, zoomed_camera
+from svmdist.perturbations.apply import plane_tilt, right_turn, zoomed_camera
 from svmdist.profile import Profile
 from svmdist.simulation.effects import DISTORTION
 from svmdist.simulation.meshes import Part, make_parts, make_plate

@@ -13,7 +13,7 @@ import numpy as np
 from svmdist.camera import Camera, stereo_transform
 from svmdist.kinematics import forward_kinematics
 from svmdist.perturbations import Place
-from svmdist.perturbations.calibration import nominal_camera, zoomed_camera
+from svmdist.perturbations.apply import nominal_camera, zoomed_camera
 from svmdist.samples import CameraSample, DistanceSample, Image, ImageSample, Sample, TransformSample, TransformsSample
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
 from svmdist.simulation.plan import Plan

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from svmdist.perturbations.calibration import nominal_profile
+from svmdist.perturbations.apply import nominal_profile
 from svmdist.recording.log import Recording
 from svmdist.recording.source import Health
 from svmdist.recording.topics import Role

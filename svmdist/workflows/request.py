@@ -22,7 +22,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.perturbations import UNPERTURBED, Perturbations, require_at_replay
-from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view
+from svmdist.perturbations.apply import perturbed_image, perturbed_right_view
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import ALL_IMAGES, Window

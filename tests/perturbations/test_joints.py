@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from svmdist.perturbations import Perturbations, parse_perturbations
-from svmdist.perturbations.joints import (
+from svmdist.perturbations.apply import (
     METRES_PER_DEG,
     JointUnits,
     ReplayedWorld,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.perturbations.calibration import perturbed_image
+from svmdist.perturbations.apply import perturbed_image
 from svmdist.profile.segmentation import ColourRegion
 from svmdist.samples import Image
 from svmdist.simulation import effects

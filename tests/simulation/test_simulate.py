@@ -15,7 +15,7 @@ from svmdist import samples
 from svmdist.camera import Camera, stereo_transform
 from svmdist.kinematics import forward_kinematics
 from svmdist.perturbations import TABLE, Place, World, draw_world, parse_perturbations
-from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view
+from svmdist.perturbations.apply import perturbed_image, perturbed_right_view
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.simulation.bullet import how_to_install
