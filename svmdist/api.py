@@ -27,9 +27,8 @@ from svmdist.workflows.check import TissueSurface
 from svmdist.workflows.check import tissue_surface as _surface
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
-from svmdist.workflows.ending import Ending, alarms_in_words
+from svmdist.workflows.estimate import Ending, alarms_in_words, with_lag
 from svmdist.workflows.estimate import estimate as _estimate
-from svmdist.workflows.estimate import with_lag
 from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare, prepare_methods
 from svmdist.workflows.scoring.given import given_estimates
 from svmdist.workflows.scoring.references import TruthRules

@@ -19,7 +19,7 @@ from svmdist.report.writers import Holds, Results, Writer, choose_writer
 if TYPE_CHECKING:
     from svmdist.cli.jobs import Run
     from svmdist.remote import LogPath
-    from svmdist.workflows.ending import Ending
+    from svmdist.workflows.estimate import Ending
     from svmdist.workflows.request import Request
     from svmdist.workflows.validate import Validation
 
@@ -41,7 +41,7 @@ class PictureOptions(OutputOptions):
 
     def draw(self, run: Run[Any], request: Request, result: Validation | None = None, kind: str = "") -> None:
         """Draw the plot and the report of what was measured, and validated."""
-        from svmdist.workflows.scoring.series import series_of
+        from svmdist.workflows.estimate import series_of
 
         measured = run.kept()
         series = series_of(measured, request, result.reference if result else None)
@@ -86,7 +86,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
 
     def _run(self) -> ExitCode:
         from svmdist.cli.jobs import Run, draw_log, log_ending, log_tally, measure_rows
-        from svmdist.workflows.ending import Ending
+        from svmdist.workflows.estimate import Ending
 
         writer = self.writer(self.paths, Holds.ROWS | Holds.FRAMES | Holds.REPORT)
         self._require_one_kind(writer)

@@ -38,8 +38,7 @@ from svmdist.workflows.calibrate import SEEING_METHODS, fk_blocks
 from svmdist.workflows.capabilities import IMAGES, look_for_tag, method_capabilities, misfit
 from svmdist.workflows.check import check_log
 from svmdist.workflows.compare import MethodScore, measure_runs
-from svmdist.workflows.ending import Ending, alarms_in_words, refusals_in_words, remarks_in_words
-from svmdist.workflows.estimate import Keep, Measured, estimate, with_lag
+from svmdist.workflows.estimate import Ending, Keep, Measured, endings_in_words, estimate, with_lag
 from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
 from svmdist.workflows.parallel import unwatched, usable_cores
 from svmdist.workflows.request import Request, Setup
@@ -305,9 +304,8 @@ def _log_errors(errors: Array, frame_id: str | None, of: str) -> None:
 
 
 def log_ending(endings: Mapping[str, Ending], request: Request) -> None:
-    """Log which detections were refused, what is remarked on logs, and the alarms, of logs by their names."""
-    alarms = [] if request.alarms is None else [alarms_in_words(endings, request.alarms)]
-    for line in (*refusals_in_words(endings.values()), *remarks_in_words(endings), *alarms):
+    """Log what is to be said last of logs by their names."""
+    for line in endings_in_words(endings, request.alarms):
         LOG.info("%s", line)
 
 

@@ -174,9 +174,8 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
 
     def _numbers(self, recording: Recording, request: Request) -> set[int]:
         """The numbers of the images to draw; says of each of the worst how bad it is."""
-        from svmdist.workflows.estimate import Measured, estimate
+        from svmdist.workflows.estimate import Measured, estimate, series_of, worst_frames
         from svmdist.workflows.replay import image_stamps_ns
-        from svmdist.workflows.scoring.series import series_of, worst_frames
 
         if (chosen := self.image_number(recording)) is not None:
             return {chosen}

@@ -14,7 +14,7 @@ from svmdist.metrics import interval_coverage
 from svmdist.report.tables import counted
 from svmdist.results import AlarmEvent
 from svmdist.transforms import Array
-from svmdist.workflows.scoring.series import Series
+from svmdist.workflows.estimate import Series
 
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)  # levels of intervals whose calibration is shown
 MAX_GAP_IN_STEPS = 3.0  # a curve is broken where frames are missing for longer than this many frame periods

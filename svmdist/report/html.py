@@ -28,10 +28,9 @@ from svmdist.report.scores import remarks, validation_tables
 from svmdist.report.tables import Table, counted
 from svmdist.report.writers import Results
 from svmdist.transforms import Array
-from svmdist.workflows.estimate import Measured
+from svmdist.workflows.estimate import Measured, Series, worst_frames
 from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.request import Request, Setup
-from svmdist.workflows.scoring.series import Series, worst_frames
 from svmdist.workflows.validate import Validation
 
 WORST_COUNT = 10

@@ -25,10 +25,10 @@ from svmdist.report.tables import counted
 from svmdist.report.writers import plot_format
 from svmdist.results import Z_95
 from svmdist.workflows.compare import ALL, Group, MethodScore
+from svmdist.workflows.estimate import Series
 from svmdist.workflows.scoring.metric_table import figure_metrics
 from svmdist.workflows.scoring.references import Reference
 from svmdist.workflows.scoring.scores import Pairs, Score
-from svmdist.workflows.scoring.series import Series
 from svmdist.workflows.validate import Validation
 
 COLUMN_IN, PAGE_IN, PANEL_IN, SCORE_IN = 3.5, 7.16, 2.2, 2.8

@@ -21,8 +21,7 @@ from svmdist.profile.toml import in_words
 from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.capabilities import require_clearance
-from svmdist.workflows.ending import Ending
-from svmdist.workflows.estimate import Keep, Measured, given_lag, recording_lag, with_lag
+from svmdist.workflows.estimate import Ending, Keep, Measured, given_lag, recording_lag, with_lag
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.given import Given
@@ -141,7 +140,8 @@ def score_recording(
                 if reference in asked_for:
                     lacking.append(missing[-1])
             else:
-                scores.append(replace(score, recording=label, instrument=name))
+                events = tuple(Ending.of(rows).alarms)
+                scores.append(replace(score, recording=label, instrument=name, alarm_events=events))
     if not scores or (request.alarms and scores[0].alarms is None):
         raise RecordingError("; ".join([*missing, without_truth]))
     if keep is not None:

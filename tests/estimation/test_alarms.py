@@ -9,7 +9,7 @@ from svmdist.errors import UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch, probability_below
 from svmdist.results import AlarmState, Distance, Distances, FrameResult
 from svmdist.samples import Status
-from svmdist.workflows.ending import Ending
+from svmdist.workflows.estimate import Ending
 
 
 def row(seconds: float, clearance_m: float | None, std_m: float = 0.5e-3) -> FrameResult:

@@ -15,7 +15,7 @@ from svmdist.report import charts
 from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure
 from svmdist.report.tables import Table
 from svmdist.results import AlarmEvent, Distance
-from svmdist.workflows.scoring.series import Series
+from svmdist.workflows.estimate import Series
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",

@@ -5,7 +5,7 @@ from dataclasses import replace
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
-from svmdist.workflows.ending import Ending, alarms_in_words, refusals_in_words
+from svmdist.workflows.estimate import Ending, alarms_in_words, refusals_in_words
 
 RULES = AlarmRules(0.005, "likely")
 

@@ -9,9 +9,9 @@ from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
+from svmdist.workflows.estimate import Series, worst_frames
 from svmdist.workflows.scoring import scores
 from svmdist.workflows.scoring.references import Truth
-from svmdist.workflows.scoring.series import Series, worst_frames
 
 
 def result_of(

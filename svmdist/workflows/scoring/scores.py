@@ -18,7 +18,6 @@ from svmdist.recording.log import Recording
 from svmdist.results import Z_95, AlarmEvent, FrameResult
 from svmdist.tracks import LagEstimate, Mask
 from svmdist.transforms import Array, Stamps
-from svmdist.workflows.ending import Ending
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.references import Reference, Truth, reference_lag_ns, truth_at
 
@@ -315,7 +314,6 @@ def score_rows(
         uncorrected=unshifted.statistics if unshifted else None,
         alarms=score_alarms(rows, truth, stamps_ns, alarms.below_m) if alarms and is_truth else None,
         start_ns=rows[0].stamp_ns - round(rows[0].seconds * 1e9) if rows else 0,
-        alarm_events=tuple(Ending.of(rows).alarms),
     )
 
 
