@@ -14,7 +14,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from svmdist.cli import calibrate, estimate, new_logs, scores, show
+from svmdist.cli import measure, new_logs, scores, show
 from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
 from svmdist.cli.output import LOG, ExitCode, abandon, print_log, with_notes
 from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
@@ -174,8 +174,8 @@ def _add(group: typer.Typer, *commands: type[Options]) -> None:
 
 _add(profiles, new_logs.New)
 _add(app, new_logs.Import, show.Info, show.Check, show.Show, new_logs.Record, show.Surface)
-_add(app, calibrate.Calibrate, estimate.Estimate, scores.Validate, scores.Compare, scores.BlurBench)
-_add(app, calibrate.Fk, calibrate.HandEye)
+_add(app, measure.Calibrate, measure.Estimate, scores.Validate, scores.Compare, scores.BlurBench)
+_add(app, measure.Fk, measure.HandEye)
 
 
 def _print_version(asked: bool) -> None:

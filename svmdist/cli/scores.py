@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from svmdist.cli import options, output
-from svmdist.cli.estimate import PictureOptions
 from svmdist.cli.logs import GroupOption, LogOptions, group_name
+from svmdist.cli.measure import PictureOptions
 from svmdist.cli.options import PLOT, argument, format_option, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import UsageError, did_you_mean
