@@ -312,7 +312,7 @@ def log_ending(endings: Mapping[str, Ending], request: Request) -> None:
 def log_tally(endings: Iterable[Ending]) -> bool:
     """Log how many frames were measured, and the other statuses with their commonest details; whether any was."""
     counts = defaultdict[str, Counter[str]](Counter)
-    for status, details in (item for ending in endings for item in ending.tally.items()):
+    for status, details in (item for ending in endings for item in ending.counts.items()):
         counts[status].update(details)
     total = sum(details.total() for details in counts.values())
     measured = counts.pop("ok", Counter()).total()

@@ -108,7 +108,7 @@ def predicted_tool_px(at: PoseAt, camera: Camera, stamps_ns: Stamps) -> tuple[Ar
 class Ending:
     """Counts over the rows of a log, and its alarms."""
 
-    tally: dict[str, Counter[str]] = field(default_factory=dict)  # by status and detail, as these first came
+    counts: dict[str, Counter[str]] = field(default_factory=dict)  # by status and detail, as these first came
     seen: Counter[str] = field(default_factory=Counter)  # rows in which a detection was measured,
     refused: Counter[str] = field(default_factory=Counter)  # and in which it contradicted the rest
     events: dict[str, dict[int, AlarmEvent]] = field(default_factory=dict)  # by instrument and first image
@@ -125,7 +125,7 @@ class Ending:
 
     def add(self, row: FrameResult) -> None:
         """Count a row."""
-        self.tally.setdefault(str(row.status), Counter())[row.detail] += 1
+        self.counts.setdefault(str(row.status), Counter())[row.detail] += 1
         least = None if self.least is None else self.least.distances.clearance
         found = row.distances.clearance if row.measured else None
         if found is not None and (least is None or found.value_m < least.value_m):
@@ -156,7 +156,7 @@ class Ending:
     @property
     def statuses(self) -> dict[str, int]:
         """The counts by status."""
-        return {status: details.total() for status, details in self.tally.items()}
+        return {status: details.total() for status, details in self.counts.items()}
 
 
 def refusals_in_words(endings: Iterable[Ending]) -> Iterator[str]:
@@ -248,21 +248,21 @@ class Series:
         return np.asarray(Z_95 * self.std_m)
 
     @property
-    def badness_m(self) -> Array:
-        """How bad each frame is: its error where there is truth, else the interval's width; -1 where it has neither."""
-        badness_m = np.abs(self.error_m) if np.isfinite(self.error_m).any() else self.half_m
-        return np.asarray(np.where(np.isfinite(badness_m), badness_m, -1.0))
+    def severity_m(self) -> Array:
+        """Of each frame, its error where there is truth, else the interval's width; -1 where it has neither."""
+        severity_m = np.abs(self.error_m) if np.isfinite(self.error_m).any() else self.half_m
+        return np.asarray(np.where(np.isfinite(severity_m), severity_m, -1.0))
 
 
 @dataclass(frozen=True, slots=True)
 class WorstFrame:
-    """One of the worst frames of a log: its place in a series, and how bad it is."""
+    """One of the worst frames of a log: its place in a series, and its severity."""
 
     series: Series
     at: int
     number: int
     seconds: float
-    badness_m: float
+    severity_m: float
 
     @property
     def in_words(self) -> str:
@@ -286,16 +286,16 @@ def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
     """
     every = list[WorstFrame]()
     for one in series:
-        columns = one.number.tolist(), one.seconds.tolist(), one.badness_m.tolist()
+        columns = one.number.tolist(), one.seconds.tolist(), one.severity_m.tolist()
         every += [WorstFrame(one, at, *frame) for at, frame in enumerate(zip(*columns, strict=True))]
-    ranked, worst = sorted(every, key=lambda frame: -frame.badness_m), list[WorstFrame]()
+    ranked, worst = sorted(every, key=lambda frame: -frame.severity_m), list[WorstFrame]()
     for apart_s in (APART_S, 0.0):
         for frame in ranked:
             of_log = [one for one in worst if one.series.recording == frame.series.recording]
             is_apart = all(one.number != frame.number and abs(one.seconds - frame.seconds) >= apart_s for one in of_log)
             if len(worst) < count and is_apart:
                 worst.append(frame)
-    return sorted(worst, key=lambda frame: -frame.badness_m)
+    return sorted(worst, key=lambda frame: -frame.severity_m)
 
 
 def series_of(measured: Iterable[Measured], request: Request, reference: Reference | None = None) -> list[Series]:

@@ -129,4 +129,4 @@ def test_of_two_instruments_an_image_counts_once_by_its_worse_one():
         (3, "PSM1"),
         (0, "PSM1"),
     ]
-    assert worst[0].badness_m == pytest.approx(0.01)
+    assert worst[0].severity_m == pytest.approx(0.01)
