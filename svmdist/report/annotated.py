@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.drawing import FrameDrawing
 from svmdist.errors import OutputError
 from svmdist.files import atomic_file
-from svmdist.recording import viewer_messages
+from svmdist.recording import writer
 from svmdist.recording.log import Recording
 from svmdist.recording.summary import copied_messages
 from svmdist.recording.topics import Role
@@ -40,10 +40,10 @@ def write_annotated(
     """Copy a recording, each image followed by what was drawn of it; UsageError where that exists, unless `force`."""
     copies = copied_messages(recording.origin.open())  # anew, so that losses are counted once
     metadata = {**recording.metadata, "annotated_by": f"svmdist estimate --method {setup.method}"}
-    with RecordingWriter(output, metadata, force=force) as writer:
+    with RecordingWriter(output, metadata, force=force) as copy:
         annotations = _annotations(recording, frames, setup)
         for topic, message in heapq.merge(copies, annotations, key=lambda pair: pair[1].stamp_ns):
-            writer.write(topic, message)
+            copy.write(topic, message)
 
 
 def _annotations(
@@ -54,24 +54,24 @@ def _annotations(
         drawing, stamp_ns, results = frame.drawing, frame.drawing.stamp_ns, frame.replayed.results
         if at == 0:
             text = f"svmdist {version('svmdist')}, method {setup.method}, profile {setup.profile.name}"
-            yield LOG_TOPIC, viewer_messages.log_line(text, stamp_ns, is_warning=False)
+            yield LOG_TOPIC, writer.log_line(text, stamp_ns, is_warning=False)
         # Below the image's topic: viewers that go by names lay it over the image.
-        yield f"{recording.topic_of(Role.IMAGE)}/annotations", viewer_messages.image_annotations(drawing)
+        yield f"{recording.topic_of(Role.IMAGE)}/annotations", writer.image_annotations(drawing)
         for result in results:
             fields = estimate_fields(result, setup.method)  # those that are None are left out
             yield f"/svmdist/{result.instrument}/distance", encoded("svmdist.DistanceEstimate", stamp_ns, **fields)
         if poses := tool_poses(results):
             tools = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)
             yield TF_TOPIC, TransformsSample(stamp_ns, tools)
-        yield SCENE_TOPIC, viewer_messages.scene_update(drawing, [one.instrument for one in results], frame_id)
+        yield SCENE_TOPIC, writer.scene_update(drawing, [one.instrument for one in results], frame_id)
         scene = frame.replayed.frames[0].scene if frame.replayed.frames else None
         # The tissue's surface where a method looked for it in both views, with an instrument there or not.
         if scene is not None and (surface := vars(scene).get("stereo_surface")) is not None:
             std_m, seen = surface.grid_std_m[surface.is_seen], scene.observation
             colours = surface.colours(seen.image_bgr, seen.camera)
-            yield SURFACE_TOPIC, viewer_messages.point_cloud(surface.points_m, std_m, colours, frame_id, stamp_ns)
+            yield SURFACE_TOPIC, writer.point_cloud(surface.points_m, std_m, colours, frame_id, stamp_ns)
         for text in warnings(drawing):
-            yield LOG_TOPIC, viewer_messages.log_line(text, stamp_ns, is_warning=True)
+            yield LOG_TOPIC, writer.log_line(text, stamp_ns, is_warning=True)
 
 
 def tool_poses(results: Iterable[FrameResult]) -> list[tuple[str, Array]]:

@@ -12,7 +12,7 @@ from svmdist.estimation.instrument.model import plate_capsules
 from svmdist.geometry import Capsules, join
 from svmdist.geometry.distance import separation
 from svmdist.recording.log import open_recording
-from svmdist.recording.viewer_messages import scene_update
+from svmdist.recording.writer import scene_update
 from svmdist.report.on_image import DARK, draw_on
 from svmdist.report.panels import _side_view
 from svmdist.results import AlarmState, Distance, Distances, FrameResult, ImageFindings
