@@ -72,12 +72,14 @@ class KinematicsError(SvmdistError):
 
 
 @contextmanager
-def restated(kind: type[Exception], error: Callable[[str], Exception], before: str = "") -> Iterator[None]:
-    """Turn exceptions of a kind into `error` of the same text, behind some words."""
+def restated(
+    kind: type[Exception] | tuple[type[Exception], ...], error: Callable[[str], Exception], before: str = ""
+) -> Iterator[None]:
+    """Turn exceptions of some kinds into `error` of the same text in one line, behind some words."""
     try:
         yield
     except kind as problem:
-        raise error(f"{before}{problem}") from None
+        raise error(f"{before}{' '.join(str(problem).split())}") from None
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:

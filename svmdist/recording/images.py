@@ -6,7 +6,9 @@ import os
 import re
 import struct
 import zlib
+from collections.abc import Iterator
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +20,7 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from svmdist.errors import RecordingError, SourceError, optional_package
+from svmdist.errors import RecordingError, SourceError, optional_package, restated
 from svmdist.files import read_regular, reading
 from svmdist.profile import Limits
 from svmdist.recording.source import cut
@@ -105,10 +107,8 @@ def _jpeg_header(data: bytes) -> tuple[int, int, str]:
     """Width and height in px, and the colour space; ImageError without the end marker."""
     if b"\xff\xd9" not in data.rstrip(b"\0")[-64:]:  # buffers of MJPEG end in zeros, others in a few bytes more
         raise ImageError(f"a JPEG that ends early, after {len(data)} bytes")
-    try:
+    with restated(ValueError, ImageError, "a JPEG that cannot be decoded: "):
         height_px, width_px, colours, _ = simplejpeg.decode_jpeg_header(data)
-    except ValueError as problem:
-        raise ImageError(f"a JPEG that cannot be decoded: {' '.join(str(problem).split())}") from None
     return width_px, height_px, colours
 
 
@@ -147,10 +147,9 @@ def decode_raw(
     pixels = rows.reshape(height_px, width_px, channels)
     if conversion is None:
         return pixels.copy()
-    try:
-        return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), conversion), np.uint8)
-    except cv2.error as problem:
-        raise ImageError(" ".join(str(problem).split())) from None
+    with restated(cv2.error, ImageError):
+        image = cv2.cvtColor(np.ascontiguousarray(pixels), conversion)
+    return np.asarray(image, np.uint8)
 
 
 NAL_UNIT = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)
@@ -158,48 +157,40 @@ SLICE, IDR_SLICE, SPS, PPS = 1, 5, 7, 8
 COLOUR_PROFILES = frozenset({44, 83, 86, 100, 110, 118, 122, 128, 134, 135, 138, 139, 244})  # which state their colours
 
 
-class _Bits:
-    """Reads numbers from the beginning of a NAL unit of H.264."""
-
-    def __init__(self, unit: bytes) -> None:
-        plain = unit.replace(b"\0\0\3", b"\0\0")  # the 3 keeps start codes out of the data
-        self._bits, self._at = bin(int.from_bytes(b"\1" + plain))[3:], 0
-
-    def number(self, count: int) -> int:
-        """One of so many bits, of fewer at the end; ValueError behind it."""
-        self._at += count
-        return int(self._bits[self._at - count : self._at], 2) if count else 0
-
-    def code(self) -> int:
-        """One in Exp-Golomb code, as if without sign; ValueError behind the end."""
-        zeros = self._bits.index("1", self._at) - self._at
-        self._at += zeros
-        return self.number(zeros + 1) - 1
-
-    def codes(self, count: int) -> list[int]:
-        """Some in Exp-Golomb code."""
-        return [self.code() for _ in range(count)]
+def _number(bits: Iterator[str], count: int) -> int:
+    """The next number of so many bits, of fewer at the end; ValueError behind it."""
+    return int("".join(islice(bits, count)), 2) if count else 0
 
 
-def _numbering(bits: _Bits) -> tuple[int, tuple[int, bool]]:
+def _code(bits: Iterator[str]) -> int:
+    """The next number in Exp-Golomb code, as if without sign; ValueError behind the end."""
+    zeros = next((before for before, bit in enumerate(bits) if bit == "1"), None)
+    if zeros is None:
+        raise ValueError("the NAL unit ends")
+    return int("1" + "".join(islice(bits, zeros)), 2) - 1
+
+
+def _numbering(bits: Iterator[str]) -> tuple[int, tuple[int, bool]]:
     """Of a sequence parameter set its name, the bits of a frame's number, and whether numbers may be left out."""
-    profile, name, chroma = bits.number(24) >> 16, bits.code(), 1
+    profile, name, chroma = _number(bits, 24) >> 16, _code(bits), 1
     if profile in COLOUR_PROFILES:
-        chroma = bits.code()
-        bits.number(chroma == 3), bits.codes(2), bits.number(1)
-        for at in range(12 if chroma == 3 else 8) if bits.number(1) else ():
+        chroma = _code(bits)
+        _number(bits, chroma == 3), _code(bits), _code(bits), _number(bits, 1)
+        for at in range(12 if chroma == 3 else 8) if _number(bits, 1) else ():
             left, scale = 16 if at < 6 else 64, 8
-            left *= bits.number(1)
+            left *= _number(bits, 1)
             while left and scale:  # a scaling list ends early at 0
-                code, left = bits.code(), left - 1
+                code, left = _code(bits), left - 1
                 scale = (scale + (code + 1) // 2 * (1 if code % 2 else -1)) % 256
-    bit_count, order = min(bits.code(), 12) + 4, bits.code()
+    bit_count, order = min(_code(bits), 12) + 4, _code(bits)
     if order == 0:
-        bits.code()
+        _code(bits)
     elif order == 1:
-        bits.number(1), bits.codes(2), bits.codes(bits.code())
-    bits.code()
-    return name, (bit_count, bits.number(1) == 1)
+        _number(bits, 1), _code(bits), _code(bits)
+        for _ in range(_code(bits)):
+            _code(bits)
+    _code(bits)
+    return name, (bit_count, _number(bits, 1) == 1)
 
 
 class VideoDecoder:
@@ -246,10 +237,8 @@ class VideoDecoder:
         packet = av.Packet(data)
         packet.pts, packet.time_base = self._count, Fraction(1, 1000)
         self._count += 1
-        try:
+        with restated((av.error.FFmpegError, ValueError, MemoryError), ImageError, "the video does not decode: "):
             frames = self._codec.decode(packet)
-        except (av.error.FFmpegError, ValueError, MemoryError) as problem:
-            raise ImageError(f"the video does not decode: {problem}") from None
         if len(frames) != 1 or frames[0].is_corrupt or frames[0].pts != packet.pts:
             raise ImageError(f"the message holds {len(frames)} whole frames, one is expected")
         check_dimensions(frames[0].width, frames[0].height, self._limits)
@@ -260,17 +249,19 @@ class VideoDecoder:
         """Whether a frame is a key frame, and whether its number follows that of the last one."""
         for unit in NAL_UNIT.finditer(data):
             kind, is_reference = unit[1][0] & 0x1F, unit[1][0] & 0x60 != 0
-            bits = _Bits(data[unit.end() : unit.end() + 2048])
+            start = data[unit.end() : unit.end() + 2048].replace(b"\0\0\3", b"\0\0")  # the 3 is not of the data
+            bits = iter(bin(int.from_bytes(b"\1" + start))[3:])
             if kind == IDR_SLICE:
                 self._number = 0
                 return True, True
             if kind == SPS:
                 name, self._numbering[name] = _numbering(bits)
             elif kind == PPS:
-                name, self._sequence[name] = bits.codes(2)
+                name, self._sequence[name] = _code(bits), _code(bits)
             elif kind == SLICE:
-                bit_count, may_skip = self._numbering[self._sequence[bits.codes(3)[2]]]
-                number = bits.number(bit_count)
+                _, _, parameters = (_code(bits) for _ in range(3))
+                bit_count, may_skip = self._numbering[self._sequence[parameters]]
+                number = _number(bits, bit_count)
                 step = (number - self._number) % (1 << bit_count)
                 self._number = number if is_reference else self._number
                 # One further; some encoders number frames that none refers to as the one before.
@@ -282,7 +273,7 @@ def read_file(path: Path, limits: Limits, *, decode: bool) -> tuple[bytes | Imag
     """The bytes of a PNG or JPEG, or pixels, BGR, with `decode` or of others; width and height in px. SourceError."""
     with reading(path, SourceError):
         data = read_regular(path, limits.image_bytes)
-    try:
+    with restated((cv2.error, ImageError), SourceError, f"{path}: "):
         if still_format(data):
             size_px = still_size(data, limits)
             return decode_still(data, limits) if decode else data, size_px
@@ -293,7 +284,5 @@ def read_file(path: Path, limits: Limits, *, decode: bool) -> tuple[bytes | Imag
             raise ImageError(f"an image of {8 * image.dtype.itemsize} bits; 8 are expected")
         size_px = image.shape[1], image.shape[0]
         check_dimensions(*size_px, limits)
-    except (cv2.error, ImageError) as problem:
-        raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
     pixels = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image[..., :3]
     return np.asarray(pixels, np.uint8), size_px
