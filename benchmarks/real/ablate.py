@@ -21,7 +21,6 @@ import numpy as np
 from benchmarks.generated_pages import DOCS, table, write_table
 from benchmarks.real import common
 from benchmarks.real.__main__ import SETS
-from svmdist.estimation.instrument import verification
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.vision import edge_lines, silhouette
@@ -69,12 +68,10 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "wrist's colours": (silhouette, "_unlike_flanks", nothing_unlike),
     "evidence": (silhouette, "_agrees", lambda *_: True),
     "shadows": (silhouette, "edge_within", lambda *_: None),
-    "projection": (verification, "_share_shown", lambda *_: 1.0),
 }
 """What replaces a part that is left out. What lies beyond a side, whose colours most inside of it must not have; the
 likelier of a shaft's two ends, as its sizes have it, and the other one; what of a wrist is beside its mask, by its
-colours; the evidence that a sharp edge must be near to; a shadow's colour; that each view shows the instrument where it
-is projected.
+colours; the evidence that a sharp edge must be near to; a shadow's colour.
 """
 
 

@@ -57,7 +57,7 @@ def measured(
         ends = as_vector(gap.direction), as_vector(gap.on_instrument_m)
         clearance = Distance(gap.distance_m, overlap_std_m, *ends, std_m)
     result = with_tool(result, frame, tool)
-    if reason := contradiction(frame, pose, capsules, tissue, is_by_outline=tool.joints is None):
+    if reason := contradiction(frame, pose, capsules, tissue):
         return result.rejected(Status.INCONSISTENT, reason)
     return replace(result, status=Status.OK, distances=Distances(planar, spatial, clearance))
 

@@ -37,28 +37,19 @@ MIN_LENGTH = 2.0  # of the visible shaft, in half widths, for the same reason
 MIN_SHARE = 0.3  # of a section that is instrument within reach: less is a speck or a shadow
 MIN_INSIDE = 0.8  # of a section that is dark as the shaft: it may have a shadow around it
 BAR_WIDTHS = (0.7, 1.4)  # of a shaft elsewhere over the projected one: as far as it may be nearer or farther
-MIN_SHOWN = 0.8  # of a projected shaft that is made of outlines, what must be on the instrument
 MAX_BESIDE = 0.7  # of the sections, beyond which the shaft is beside the instrument
 
 
-def contradiction(
-    frame: Frame, pose: ToolPose, body: Capsules | None, tissue: TissuePose, *, is_by_outline: bool = False
-) -> str:
+def contradiction(frame: Frame, pose: ToolPose, body: Capsules | None, tissue: TissuePose) -> str:
     """Why images and tissue refute a pose, with the instrument's capsules in the camera frame; empty where they do not.
 
-    A tool beyond the picture is refuted only by what is seen of it in the picture. `is_by_outline`: the images are all
-    that it is made of, so that each view must show the instrument where the shaft is projected.
+    A tool beyond the picture is refuted only by what is seen of it in the picture.
     """
     if said := _out_of_place(pose, tissue, require_tissue(frame.arm.profile)):
         return said
     instrument = frame.arm.profile.instrument
     if instrument is None or body is None:
         return ""
-    for view in (frame.left, frame.right) if is_by_outline else ():
-        if view is None or not view.masks.seen:
-            continue
-        if (shown := _share_shown(view, body.transformed(view.T_view_left))) < MIN_SHOWN:
-            return f"of the projected shaft only {shown:.0%} is on the instrument in the image"
     shaft = _ShaftEvidence.of(frame, pose, instrument, body)
     if said := _off_marker(frame, pose, instrument, shaft):
         return said
@@ -81,16 +72,6 @@ def _out_of_place(pose: ToolPose, seen: TissuePose, tissue: Tissue) -> str:
     if below_m <= Z_95 * np.sqrt(variance_m2 + np.sum(np.square(parts_m))):
         return ""
     return f"the tool is {1e3 * below_m:.0f} mm behind the plane that the tissue lies on"
-
-
-def _share_shown(view: View, body: Capsules) -> float:
-    """Which part of the projected shaft is the instrument in a view's image; 1 where it is not in view."""
-    sections = shaft_sections(view.camera, body)
-    if sections is None:
-        return 1.0
-    offset = np.linspace(-0.95, 0.95, 20)[None, :, None] * sections.half_px[:, None, None]
-    own, known = _sampled(view, sections.middles_px[:, None] + offset * sections.across[:, None])
-    return float(np.count_nonzero(own)) / np.count_nonzero(known) if known.any() else 1.0
 
 
 def _off_marker(frame: Frame, pose: ToolPose, instrument: Instrument, shaft: _ShaftEvidence | None) -> str:
