@@ -12,7 +12,7 @@ from svmdist.estimation.instrument.consistency import Consistency, GatingResult,
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.image_pose import is_confirmed
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter, as_measurement
-from svmdist.estimation.instrument.measurement_kinds import PointMeasurement
+from svmdist.estimation.instrument.measurement import LinkMeasurement, PointError, point
 from svmdist.kinematics import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
@@ -195,9 +195,8 @@ def test_what_is_refused_makes_nothing_surer(scene, profile):
     before = kalman.covariance
     at_px = scene.camera.project(kalman.tool_pose().position_m)
     off_px = at_px.ravel() + 2000.0
-    wild = PointMeasurement(
-        name="wild", camera=scene.camera, pixel=off_px, covariance=np.eye(2), correlation_time_s=30.0
-    )
+    in_view = point(scene.camera, off_px, np.zeros(3), PointError())
+    wild = LinkMeasurement(name="wild", in_view=in_view, covariance=np.eye(2), correlation_time_s=30.0)
     (gating,) = kalman.update([wild])
     assert not gating.is_accepted
     np.testing.assert_allclose(kalman.covariance, before, rtol=1e-9, atol=1e-15)

@@ -6,25 +6,17 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.instrument import measurement as kinds
 from svmdist.estimation.instrument.error_model import CorrectedLink, CorrectedLinks, Correction, ErrorModel
-from svmdist.estimation.instrument.measurement import Deviations, LinkMeasurement
-from svmdist.estimation.instrument.measurement_kinds import (
-    END_BIAS,
-    JAWS,
-    ContourMeasurement,
-    DisparityMeasurement,
-    EndMeasurement,
-    PointError,
-    PointMeasurement,
-    PoseMeasurement,
-    SizeMeasurement,
-)
+from svmdist.estimation.instrument.measurement import END_BIAS, EXACT, JAWS, Deviations, LinkMeasurement, PointError
 from svmdist.estimation.instrument.state import linearise
-from svmdist.kinematics import DHChain, forward_kinematics, frame_transforms, row_index
+from svmdist.kinematics import DHChain, ShaftAxis, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import CameraError, Joint, KinematicError
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, rotation_x
+from svmdist.vision.lines import TangentPlane
+from svmdist.vision.silhouette import Rim
 from tests.jacobian import check_jacobian, nudged
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
@@ -38,134 +30,107 @@ def shaded(place_std_m: float, shading_px: float = 0.0) -> PointError:
     return PointError("point", place_std_m, 0.0, shading_px)
 
 
-PAIR = DisparityMeasurement(
-    name="ideal",
-    link=None,
-    left=IDEAL,
-    right=IDEAL,
-    T_right_left=T_RIGHT_LEFT,
-    disparity_px=30.0,
-    covariance=np.eye(1),
-    correlation_time_s=30.0,
-    error=shaded(1e-4, 0.5),
+rng = np.random.default_rng(0)
+ACROSS = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+AXIS, ROOT, FOCAL_PX = ACROSS[2], rng.normal(size=(6, 6)), np.ones(2)
+NEAR, FAR = (
+    make_transform(rotation_of(turn * rng.normal(size=3)) @ T_LINK[:3, :3], [0.012, -0.02, 0.088])
+    for turn in (1e-9, 0.9)
 )
+P_M, PIXELS = rng.normal(0.0, 0.003, (4, 3)), rng.uniform(0.0, 400.0, (4, 2))
+
+
+def made(name: str, in_view: kinds.InView, covariance: Array, link: str | None = None) -> LinkMeasurement:
+    return LinkMeasurement(name=name, in_view=in_view, covariance=covariance, link=link, correlation_time_s=30.0)
+
+
+def origin(error: PointError) -> LinkMeasurement:
+    return made("origin", kinds.point(IDEAL, PIXELS[0], np.zeros(3), error), np.diag([0.2, 0.3]))
+
+
+def pair(
+    error: PointError, left: Camera = IDEAL, right: Camera = IDEAL, disparity_px: float = 30.0, name: str = "ideal"
+) -> LinkMeasurement:
+    return made(name, kinds.disparity((left, right), T_RIGHT_LEFT, disparity_px, np.zeros(3), error), np.eye(1))
+
+
+def end(
+    name: str, ahead_m: float = 0.003, radius_m: float = 0.0, std_m: float = 2e-4, std_px: float = 0.0
+) -> LinkMeasurement:
+    rim, hinge_m = Rim(PIXELS[2], np.array([0.6, 0.8]), 1.0), np.array([0.001, 0.002, 0.004])
+    place = AXIS, hinge_m, ahead_m, radius_m
+    return made(name, kinds.shaft_end(IDEAL, rim, *place, std_m, std_px, EXACT), np.eye(1), "shaft")
+
+
+def edge(side: int) -> LinkMeasurement:
+    contour, shaft = (
+        TangentPlane(ACROSS[0], np.zeros((3, 3)), side),
+        ShaftAxis("shaft", np.array([0.001, -0.002, 0.003]), AXIS),
+    )
+    by_bias = np.diag(np.sqrt([2e-4, 1e-6]))
+    in_view = kinds.edge(contour, ACROSS[:2], by_bias, shaft, 0.004, FOCAL_PX, EXACT)
+    return made(f"edge {side}", in_view, np.diag([1e-4, 1e-6]), "shaft")
 
 
 def measurements() -> list[LinkMeasurement]:
     """All kinds, also off the link's origin, through a lens, and with large residuals."""
-    rng = np.random.default_rng(0)
-    across = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    axis = across[2]
-    root = rng.normal(size=(6, 6))
     T_frame = make_transform(rotation_of([0.1, 0.3, -0.2]), [0.002, 0.004, -0.003])
-    near, far = (
-        make_transform(rotation_of(turn * rng.normal(size=3)) @ T_LINK[:3, :3], [0.012, -0.02, 0.088])
-        for turn in (1e-9, 0.9)
-    )
-    p_m, pixels = rng.normal(0.0, 0.003, (4, 3)), rng.uniform(0.0, 400.0, (4, 2))
-    p_axis_m = np.array([0.001, -0.002, 0.003])
-    edge = ContourMeasurement(
-        name="edge 1",
-        link="shaft",
-        normal=across[0],
-        across=across[:2],
-        covariance=np.diag([1e-4, 1e-6]),
-        p_axis_m=p_axis_m,
-        axis=axis,
-        radius_m=0.004,
-        side=1,
-        by_bias=np.diag(np.sqrt([2e-4, 1e-6])),
-        correlation_time_s=30.0,
-    )
-    sides = [edge, replace(edge, name="edge -1", side=-1)]
-    end = EndMeasurement(
-        name="dark end",
-        link="shaft",
-        camera=IDEAL,
-        pixel=pixels[2],
-        towards_tip=np.array([0.6, 0.8]),
-        covariance=np.eye(1),
-        p_hinge_m=np.array([0.001, 0.002, 0.004]),
-        axis=axis,
-        ahead_m=-0.006,
-        radius_m=0.004,
-        model_std_m=2e-4,
-        correlation_time_s=30.0,
-    )
-    ends = [end, replace(end, name="outline's end", ahead_m=0.003, radius_m=0.0)]
-    origin = PointMeasurement(
-        name="origin",
-        link=None,
-        camera=IDEAL,
-        pixel=pixels[0],
-        covariance=np.diag([0.2, 0.3]),
-        error=shaded(1e-4, 0.7),
-        correlation_time_s=30.0,
-    )
-    corner = {"camera": LENS, "p_link_m": p_m[0], "pixel": pixels[1], "covariance": np.eye(2)}
-    size = {"camera": IDEAL, "radius_m": 0.00175, "radius_px": 12.0, "covariance": np.eye(1)}
-    pose = PoseMeasurement(
-        name="near",
-        link="tag",
-        T_link_frame=T_frame,
-        T_camera_frame=near @ T_frame,
-        covariance=np.eye(6),
-        by_bias=root,
-    )
+    ends = [end("dark end", -0.006, 0.004), end("outline's end")]
+    sides = [edge(1), edge(-1)]
     return [
-        origin,
-        replace(origin, name="corner", link="tag", error=shaded(2e-4), **corner),
+        origin(shaded(1e-4, 0.7)),
+        made("corner", kinds.point(LENS, PIXELS[1], P_M[0], shaded(2e-4)), np.eye(2), "tag"),
         *ends,
         *(replace(one, name=f"right {one.name}", T_view_left=T_RIGHT_LEFT) for one in (sides[0], ends[0])),
-        PAIR,
-        replace(PAIR, name="lens", left=LENS, error=shaded(1e-4)),
-        SizeMeasurement(name="size", link=None, bias_std_px=0.2, hidden_std_px=0.5, correlation_time_s=30.0, **size),
+        pair(shaded(1e-4, 0.5)),
+        pair(shaded(1e-4), left=LENS, name="lens"),
+        made("size", kinds.sphere_size(IDEAL, 0.00175, 12.0, 0.2, 0.5), np.eye(1)),
         *sides,
-        pose,
-        replace(pose, name="far", T_camera_frame=far, by_bias=np.eye(6)),
+        made("near", kinds.pose(T_frame, NEAR @ T_frame, ROOT, FOCAL_PX), np.eye(6), "tag"),
+        made("far", kinds.pose(T_frame, FAR, np.eye(6), FOCAL_PX), np.eye(6), "tag"),
     ]
 
 
 def test_what_looks_like_the_shafts_end_does_so_in_the_next_frame():
     """Its deviation in the image is no noise that many frames take away: it lasts as that of the model does."""
-    _, _, _, end, *_ = measurements()
-    by_model = replace(end, model_std_m=1e-3).linearise(T_LINK).biases[0].jacobian
-    both = replace(end, model_std_m=1e-3, bias_std_px=20.0).linearise(T_LINK).biases[0].jacobian
+    by_model = end("end", std_m=1e-3).linearise(T_LINK).biases[0].jacobian
+    both = end("end", std_m=1e-3, std_px=20.0).linearise(T_LINK).biases[0].jacobian
     assert both == pytest.approx(np.copysign(np.hypot(by_model, 20.0), by_model))
 
 
 def test_what_is_found_between_end_and_tips_is_off_with_both():
     """In the image and in disparity, to the same side, under one name: one error does not look like two."""
-    origin, _, _, end, *_ = measurements()
-    ahead_m = 1e-3 * T_LINK[:3, :3] @ end.axis
+    ahead_m = 1e-3 * T_LINK[:3, :3] @ AXIS
     moved = nudged(T_LINK, np.concatenate([ahead_m, np.zeros(3)]))
-    for one in (origin, PAIR):
+    for kind in (origin, pair):
+        one = kind(shaded(1e-4, 0.5))
         own = {bias.name for bias in one.linearise(T_LINK).biases[1:]}
         assert END_BIAS not in own
-        off = {
-            bias.name: bias for bias in replace(one, error=PointError(with_end_m=ahead_m)).linearise(T_LINK).biases[1:]
-        }
+        off = {bias.name: bias for bias in kind(PointError(with_end_m=ahead_m)).linearise(T_LINK).biases[1:]}
         # As if the tool were nearer by as much: what is measured would be what is predicted there.
         expected = one.linearise(T_LINK).residual - one.linearise(moved).residual
         assert off[END_BIAS].jacobian[:, 0] == pytest.approx(expected, rel=0.05)
-        assert off[END_BIAS].correlation_time_s == end.correlation_time_s
+        assert off[END_BIAS].correlation_time_s == one.correlation_time_s
         # Jaws that are longer by a deviation put it as much farther along them: the tool's x.
         longer = np.concatenate([5e-4 * T_LINK[:3, 0], np.zeros(3)])
         expected = one.linearise(T_LINK).residual - one.linearise(nudged(T_LINK, longer)).residual
         error = PointError(with_end_m=ahead_m, with_jaws_m=5e-4)
-        both = replace(one, error=error).linearise(T_LINK).biases[1:]
+        both = kind(error).linearise(T_LINK).biases[1:]
         by_jaws = next(bias.jacobian for bias in both if bias.name == JAWS)
         assert by_jaws == pytest.approx(np.column_stack([expected, np.zeros((len(expected), 6))]), rel=0.05)
-    by_end = replace(end, model_std_m=1e-3).linearise(T_LINK).biases[0].jacobian
-    assert by_end[0] == pytest.approx(end.linearise(T_LINK).residual - end.linearise(moved).residual, rel=0.05)
+    found, there = (end("end", std_m=1e-3).linearise(T) for T in (T_LINK, moved))
+    assert found.biases[0].jacobian[0] == pytest.approx(found.residual - there.residual, rel=0.05)
 
 
 def test_where_the_right_picture_is_cut_does_not_matter_for_disparity():
     """Principal points that stand 60 px apart change what is measured by as much, and no deviation of it."""
     K = IDEAL.K + np.array([[0.0, 0.0, 60.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    cut = replace(PAIR, right=replace(IDEAL, K=K), disparity_px=PAIR.disparity_px - 60.0)
+    whole, cut = (
+        pair(shaded(1e-4, 0.5), right=replace(IDEAL, K=at), disparity_px=30.0 - at[0, 2] + IDEAL.K[0, 2])
+        for at in (IDEAL.K, K)
+    )
     unsure = Deviations(CameraError(focal_std_fraction=0.01))
-    found, other = (replace(one, deviations=unsure).linearise(T_LINK) for one in (PAIR, cut))
+    found, other = (replace(one, deviations=unsure).linearise(T_LINK) for one in (whole, cut))
     assert found.residual == pytest.approx(other.residual)
     assert any(np.abs(bias.jacobian).max() > 0.1 for bias in found.biases)
     for one, same in zip(found.biases, other.biases, strict=True):

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from svmdist.estimation.frame import Arm, Frame, View
-from svmdist.estimation.instrument import measurement_kinds as kinds
+from svmdist.estimation.instrument import measurement as kinds
 from svmdist.estimation.instrument.distal_marker import WRIST, Expected, MarkerPair, SeenMarker, marker_in
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
@@ -17,8 +17,11 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 
-DISPARITY, EDGE = "disparity", "edge {:+d}"
+DISPARITY, EDGE, SIZE = "disparity", "edge {:+d}", "size"
+SHAFT, TAG = "shaft", "tag"  # detections
 CORRELATED_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
+CORRELATED_OUTLINE = 0.75  # of the variance of what ends an outline in the image: the cause stays
+TAG_CORRELATION_TIME_S = 0.5
 COLOUR_DELAY_S = 0.0092  # where both fields' colours are mixed: half of a 50th or of a 60th of a second
 
 
@@ -57,7 +60,7 @@ def of_images(
             ends = ends or of_view(view, end(view, arm))
     if len(views) > 1 and isinstance(markers, MarkerPair):
         if is_tracked:
-            marks = [one for one in marks if not isinstance(one, kinds.SizeMeasurement)]
+            marks = [one for one in marks if one.name != SIZE]
         marks = [*marks, _disparity(frame, views[1], markers)]
     if frame.scene.mixes_colours and not is_by_outline:
         marks = [replace(one, delay_s=one.delay_s + COLOUR_DELAY_S) for one in marks]
@@ -74,24 +77,20 @@ def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool
     if is_alone:  # no other view shows the depth of what may be a wrist
         radius_std = float(np.hypot(radius_std, view.shaft.wrist_std))
     deviations = replace(arm.deviations, shaft_radius_fraction=radius_std)
+    focal_px, time_s = np.diag(view.camera.K)[:2], arm.profile.settings.filter.edge_correlation_time_s
     for contour in view.shaft.contours:
         _, axes = np.linalg.eigh(contour.covariance)
         across = axes[:, 1:].T
         covariance = across @ contour.covariance @ across.T
-        yield kinds.ContourMeasurement(
+        by_bias = kinds.bias_jacobian(correlated_share * covariance)
+        yield LinkMeasurement(
             name=EDGE.format(contour.side),
-            link=axis.link,
-            normal=contour.normal,
-            across=across,
+            in_view=kinds.edge(contour, across, by_bias, axis, arm.straight.radius_m, focal_px, deviations),
             covariance=(1.0 - correlated_share) * covariance,
-            p_axis_m=axis.p_axis_m,
-            axis=axis.axis,
-            radius_m=arm.straight.radius_m,
-            side=contour.side,
-            by_bias=kinds.bias_jacobian(correlated_share * covariance),
-            focal_px=np.diag(view.camera.K)[:2],
+            link=axis.link,
+            source=SHAFT,
+            correlation_time_s=time_s,
             deviations=deviations,
-            correlation_time_s=arm.profile.settings.filter.edge_correlation_time_s,
         )
 
 
@@ -100,21 +99,18 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
     rim, ahead, straight = view.shaft.rim, view.rim_ahead, arm.straight
     if rim is None or ahead is None or straight is None:
         return
-    yield kinds.EndMeasurement(
+    # On the axis, or on the generatrix that faces the camera.
+    place = straight.axis.axis, straight.hinge_m, ahead[0], 0.0 if rim.is_outline else straight.radius_m
+    bias_std_px = float(np.sqrt(CORRELATED_OUTLINE)) * rim.std_px
+    yield LinkMeasurement(
         name="end",
+        in_view=kinds.shaft_end(view.camera, rim, *place, ahead[1], bias_std_px, arm.deviations),
+        covariance=np.array([[(1.0 - CORRELATED_OUTLINE) * rim.std_px**2]]),
         link=straight.axis.link,
-        camera=view.camera,
-        pixel=rim.pixel,
-        towards_tip=rim.towards_tip,
-        covariance=np.array([[(1.0 - kinds.CORRELATED_OUTLINE) * rim.std_px**2]]),
-        p_hinge_m=straight.hinge_m,
-        axis=straight.axis.axis,
-        ahead_m=ahead[0],
-        radius_m=0.0 if rim.is_outline else straight.radius_m,
-        model_std_m=ahead[1],
-        bias_std_px=float(np.sqrt(kinds.CORRELATED_OUTLINE)) * rim.std_px,
-        deviations=arm.deviations,
+        source=SHAFT,
+        bias=kinds.END_BIAS,  # whichever view shows it
         correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
+        deviations=arm.deviations,
         rests_on=tuple(EDGE.format(contour.side) for contour in view.shaft.contours),
     )
 
@@ -125,55 +121,44 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
     if seen is None:
         return
     time_s = arm.profile.settings.filter.point_correlation_time_s
-    point = partial(kinds.PointMeasurement, camera=view.camera, deviations=arm.deviations, correlation_time_s=time_s)
-    C = seen.std_px**2 * np.eye(2)
-    yield point(name=seen.name, p_link_m=marker_place_m(arm, seen), pixel=seen.pixel, covariance=C, error=seen.error)
+    of_marker = partial(LinkMeasurement, source=kinds.MARKER, deviations=arm.deviations, correlation_time_s=time_s)
+    in_view = kinds.point(view.camera, seen.pixel, marker_place_m(arm, seen), seen.error)
+    # What another part is off is not what the marker is.
+    bias = "" if seen.error.name == seen.name else seen.error.name
+    yield of_marker(name=seen.name, in_view=in_view, covariance=seen.std_px**2 * np.eye(2), bias=bias)
     if instrument is None:
         return
     is_other_part = seen.error.part_std_m > 0.0  # it is not of the marker's size
     if marker is not None and marker.radius_px is not None and not is_other_part:
-        correlated, variance_px2 = CORRELATED_SIZE, marker.radius_std_px**2 - marker.hidden_px**2
-        yield kinds.SizeMeasurement(
-            name="size",
-            camera=view.camera,
-            radius_m=instrument.knuckle_radius_m,
-            radius_px=marker.radius_px,
-            covariance=np.array([[(1.0 - correlated) * variance_px2]]),
-            bias_std_px=float(np.sqrt(correlated * variance_px2)),
-            hidden_std_px=marker.hidden_px,
-            deviations=arm.deviations,
-            correlation_time_s=time_s,
-        )
+        variance_px2 = marker.radius_std_px**2 - marker.hidden_px**2
+        stds_px = float(np.sqrt(CORRELATED_SIZE * variance_px2)), marker.hidden_px
+        in_view = kinds.sphere_size(view.camera, instrument.knuckle_radius_m, marker.radius_px, *stds_px)
+        yield of_marker(name=SIZE, in_view=in_view, covariance=np.array([[(1.0 - CORRELATED_SIZE) * variance_px2]]))
     if seen.name == WRIST and (wrist := view.shaft.wrist) is not None and arm.straight is not None:
         tip_m, C = instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3], wrist.tip_std_px**2 * np.eye(2)
         error = kinds.PointError(kinds.JAWS, arm.straight.jaw_tip_std_m)
-        yield point(name="jaws' tip", p_link_m=tip_m, pixel=wrist.tip_px, covariance=C, error=error)
+        in_view = kinds.point(view.camera, wrist.tip_px, tip_m, error)
+        yield of_marker(name="jaws' tip", in_view=in_view, covariance=C, bias=error.name)
 
 
 def _in_right_view(one: LinkMeasurement, view: View) -> LinkMeasurement:
     """A measurement by the right camera: what an edge or a point alone gets wrong is each view's own."""
     name, *rests_on = (f"right {each}" for each in (one.name, *one.rests_on))
-    right = replace(one, name=name, rests_on=tuple(rests_on), T_view_left=view.T_view_left, delay_s=view.delay_s)
-    if isinstance(right, kinds.PointMeasurement) and right.error.name == one.name:
-        right = replace(right, error=replace(right.error, name=right.name))
-    return right
+    return replace(one, name=name, rests_on=tuple(rests_on), T_view_left=view.T_view_left, delay_s=view.delay_s)
 
 
 def _disparity(frame: Frame, right: View, markers: MarkerPair) -> LinkMeasurement:
     """How far apart both views show the tool's origin; it shares with its point what is off it on the instrument."""
-    arm, left = frame.arm, markers.left
-    return kinds.DisparityMeasurement(
+    arm, left, cameras = frame.arm, markers.left, (frame.left.camera, right.camera)
+    found_px, place_m = float(left.pixel[0] - markers.right.pixel[0]), marker_place_m(arm, left)
+    return LinkMeasurement(
         name=DISPARITY,
-        left=frame.left.camera,
-        right=right.camera,
-        T_right_left=right.T_view_left,
-        disparity_px=float(left.pixel[0] - markers.right.pixel[0]),
+        in_view=kinds.disparity(cameras, right.T_view_left, found_px, place_m, left.error, markers.bias_std_px),
         covariance=np.array([[markers.std_px**2]]),
-        error=left.error,
-        deviations=arm.deviations,
-        bias_std_px=markers.bias_std_px,
-        p_link_m=marker_place_m(arm, left),
+        source=DISPARITY,
+        bias=left.error.name,
         correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
+        deviations=arm.deviations,
     )
 
 
@@ -187,14 +172,14 @@ def tag(frame: Frame, robot: RobotState, predicted: ToolPose, correlated_share: 
     std_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[3:, 3:])[-1]))
     found = frame.tag_near(R_camera_tag, std_rad)
     if found is not None:
-        yield kinds.PoseMeasurement(
-            name="tag",
-            link=fiducial.link,
-            T_link_frame=fiducial.T_link_tag,
-            T_camera_frame=found.T_camera_tag,
+        by_bias, focal_px = kinds.bias_jacobian(correlated_share * found.covariance), np.diag(frame.left.camera.K)[:2]
+        yield LinkMeasurement(
+            name=TAG,
+            in_view=kinds.pose(fiducial.T_link_tag, found.T_camera_tag, by_bias, focal_px),
             covariance=(1.0 - correlated_share) * found.covariance,
-            by_bias=kinds.bias_jacobian(correlated_share * found.covariance),
-            focal_px=np.diag(frame.left.camera.K)[:2],
+            link=fiducial.link,
+            source=TAG,
+            correlation_time_s=TAG_CORRELATION_TIME_S,
             deviations=frame.arm.deviations,
         )
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from svmdist.estimation.instrument import measurement as kinds
 from svmdist.estimation.instrument.consistency import Consistency, GatingResult, chi_square_bound, student_weight
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.instrument.measurement import BiasTerm, Linearised, LinkMeasurement
-from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
+from svmdist.estimation.instrument.measurement import ONE_FRAME_S, BiasTerm, Linearised, LinkMeasurement
 from svmdist.estimation.instrument.state import ErrorState, Solution, evidence, heavy_tailed, most_probable, robust_cost
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
@@ -223,10 +223,11 @@ class KinematicErrorFilter:
         self._start_x = found.x
 
 
-def as_measurement(pose: ToolPose) -> PoseMeasurement:
+def as_measurement(pose: ToolPose) -> LinkMeasurement:
     """A pose by the images as a measurement of the tool."""
-    T, C, no_bias = pose.T_camera_tool, pose.covariance + TINY_POSE, np.zeros((6, 6))
-    return PoseMeasurement(name="pose", T_link_frame=np.eye(4), T_camera_frame=T, covariance=C, by_bias=no_bias)
+    in_view = kinds.pose(np.eye(4), pose.T_camera_tool, np.zeros((6, 6)), np.ones(2))
+    covariance = pose.covariance + TINY_POSE
+    return LinkMeasurement(name="pose", in_view=in_view, covariance=covariance, correlation_time_s=ONE_FRAME_S)
 
 
 def pose_distance(image: ToolPose, predicted: ToolPose) -> float:
