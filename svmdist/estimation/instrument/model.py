@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,45 +53,29 @@ class Wrist:
     jaws: Array  # unit vectors of each along it to its tip, away from the other jaw and across both, (2, 3, 3)
 
 
-@dataclass(frozen=True, slots=True)
-class WristKinematics:
-    """How joints bend a wrist; straight, jaws point along `straight` (3,), and the hinge is `length_m` away."""
-
-    chain: dh.DHChain
-    rows: Sequence[int]  # the shaft turns about itself, the wrist about its hinge and the tool, and a jaw may open
-    straight: Array
-    length_m: float
-
-    @staticmethod
-    def of(chain: dh.DHChain) -> WristKinematics | None:
-        """The chain's wrist; None for a chain without one."""
-        rows = dh.rows_behind_insertion(chain)
-        if len(rows) < 3:
-            return None
-        frames = dh.frame_transforms(chain, np.zeros(len(chain.joint_names)))
-        (shaft, _), (_, hinge_m) = (dh.joint_axis(chain, frames, row) for row in rows[:2])
-        T_base_tool = frames[-1] @ chain.T_last_tool
-        length_m = float(np.linalg.norm(T_base_tool[:3, 3] - hinge_m))
-        return WristKinematics(chain, rows, np.asarray(T_base_tool[:3, :3].T @ shaft), length_m)
-
-    def wrist_in_tool(self, frames: Array, q: Array) -> Wrist:
-        """The wrist in the tool frame at joints `q`, shape (n_joints,), with the poses of all rows' frames there."""
-        T_base_tool = frames[-1] @ self.chain.T_last_tool
-        R, tool_m = T_base_tool[:3, :3], T_base_tool[:3, 3]
-        (shaft, _), (_, hinge_m), (pivot, _), *jaw = (dh.joint_axis(self.chain, frames, row) for row in self.rows)
-        jaw_axis, opening_rad = pivot, 0.0
-        if jaw:
-            jaw_axis, opening_rad = jaw[0][0], float(q[np.searchsorted(self.chain.moving_rows, self.rows[3])])
-        hinge_m, shaft, pivot, jaw_axis = np.stack([hinge_m - tool_m, shaft, pivot, jaw_axis]) @ R
-        return Wrist(hinge_m, np.zeros(3), shaft, pivot, _jaws(self.straight, jaw_axis, opening_rad))
-
-
 def wrist_in_tool(chain: dh.DHChain, q: Array) -> Wrist:
-    """The wrist in the tool frame at joints `q`, shape (n_joints,); raises KinematicsError for a chain without one."""
-    kinematics = WristKinematics.of(chain)
-    if kinematics is None:
+    """The wrist in the tool frame at joints `q`, shape (n_joints,); raises KinematicsError for a chain without one.
+
+    The shaft turns about itself, the wrist about its hinge and the tool, and a jaw may open.
+    """
+    rows, frames = dh.rows_behind_insertion(chain), dh.frame_transforms(chain, q)
+    if len(rows) < 3:
         raise KinematicsError("the chain has no wrist: nothing slides, or less than three joints turn behind it")
-    return kinematics.wrist_in_tool(dh.frame_transforms(chain, q), q)
+    T_base_tool = frames[-1] @ chain.T_last_tool
+    R, tool_m = T_base_tool[:3, :3], T_base_tool[:3, 3]
+    (shaft, _), (_, hinge_m), (pivot, _), *jaw = (dh.joint_axis(chain, frames, row) for row in rows)
+    jaw_axis, opening_rad = pivot, 0.0
+    if jaw:
+        jaw_axis, opening_rad = jaw[0][0], float(q[np.searchsorted(chain.moving_rows, rows[3])])
+    hinge_m, shaft, pivot, jaw_axis = np.stack([hinge_m - tool_m, shaft, pivot, jaw_axis]) @ R
+    return Wrist(hinge_m, np.zeros(3), shaft, pivot, _jaws(straight_jaws(chain), jaw_axis, opening_rad))
+
+
+def straight_jaws(chain: dh.DHChain) -> Array:
+    """Where jaws point in the tool frame, a unit vector, (3,): along the shaft of a straight wrist."""
+    frames = dh.frame_transforms(chain, np.zeros(len(chain.joint_names)))
+    shaft, _ = dh.joint_axis(chain, frames, dh.rows_behind_insertion(chain)[0])
+    return np.asarray((frames[-1] @ chain.T_last_tool)[:3, :3].T @ shaft)
 
 
 def joints_of(chain: dh.DHChain | None, joints: JointSample | None) -> Array | None:
@@ -118,7 +101,7 @@ class InstrumentModel:
     """Capsules of one instrument."""
 
     instrument: Instrument
-    kinematics: WristKinematics | None
+    chain: dh.DHChain | None  # with a wrist
     fiducial: Fiducial | None
 
     @classmethod
@@ -126,30 +109,32 @@ class InstrumentModel:
         """The profile's instrument; None where it has none."""
         if profile.instrument is None:
             return None
-        kinematics = WristKinematics.of(dh.chain_of(profile.robot)) if profile.robot else None
-        return cls(profile.instrument, kinematics, profile.fiducial)
+        chain = dh.chain_of(profile.robot) if profile.robot else None
+        has_wrist = chain is not None and len(dh.rows_behind_insertion(chain)) >= 3
+        return cls(profile.instrument, chain if has_wrist else None, profile.fiducial)
 
     def posed(self, tool: ToolEstimate) -> Capsules:
         """Capsules in the camera frame, bent by the joints where there are any, with the plate where it has one."""
-        kinematics, pose = self.kinematics, tool.pose
-        q = joints_of(kinematics.chain, tool.joints) if kinematics is not None else None
-        if kinematics is None or q is None:
+        chain, pose, q = self.chain, tool.pose, joints_of(self.chain, tool.joints)
+        if chain is None or q is None:
             return capsules_about(self.instrument, self._wrist_without_joints(pose), pose.jaw_scale)
-        chain, frames = kinematics.chain, dh.frame_transforms(kinematics.chain, q)
-        body = capsules_about(self.instrument, kinematics.wrist_in_tool(frames, q), pose.jaw_scale)
+        body = capsules_about(self.instrument, wrist_in_tool(chain, q), pose.jaw_scale)
         if tool.has_plate and (tag := self.fiducial) is not None:
+            frames = dh.frame_transforms(chain, q)
             T_tool_link = inverse(frames[-1] @ chain.T_last_tool) @ frames[dh.row_index(chain, tag.link)]
             body = join(body, plate_capsules(tag).transformed(T_tool_link @ tag.T_link_tag))
         return body.transformed(pose.T_camera_tool)
 
     def _wrist_without_joints(self, pose: ToolPose) -> Wrist:
-        axis, kinematics = pose.axis, self.kinematics
+        axis, chain = pose.axis, self.chain
         side = cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         pivot = side / np.linalg.norm(side)
-        if kinematics is not None and pose.hinge is not None:
-            hinge_m, jaws = pose.hinge.position_m, pose.T_camera_tool[:3, :3] @ kinematics.straight
+        if chain is not None and pose.hinge is not None:
+            hinge_m, jaws = pose.hinge.position_m, pose.T_camera_tool[:3, :3] @ straight_jaws(chain)
         else:
-            length_m = kinematics.length_m if kinematics else WRIST_LENGTH_PER_RADIUS * self.instrument.wrist_radius_m
+            length_m = WRIST_LENGTH_PER_RADIUS * self.instrument.wrist_radius_m
+            if chain is not None:
+                length_m = float(np.linalg.norm(wrist_in_tool(chain, np.zeros(len(chain.joint_names))).hinge_m))
             hinge_m, jaws = pose.position_m - length_m * axis, axis
         return Wrist(hinge_m, pose.position_m, axis, pivot, _jaws(jaws, pivot, 0.0))
 
