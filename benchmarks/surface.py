@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from benchmarks.generated_pages import table
 from svmdist.estimation.frame import Scene
-from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.perturbations import Perturbations
 from svmdist.profile import load_profile
@@ -109,8 +108,8 @@ def _errors(recording: Recording, count: int, off_m: Callable[[Array, int], Arra
         assert surface is not None
         assert right is not None
         assert not isinstance(pair, Failure)
-        deviations = Deviations.of(scene.profile)
-        std_m = surface.deviations_m(scene.observation.camera, right, deviations)[surface.is_seen]
+        error = scene.profile.camera_error
+        std_m = surface.deviations_m(scene.observation.camera, right, error)[surface.is_seen]
         ours.append(Errors(off_m(surface.points_m, scene.observation.stamp_ns), std_m, surface.share))
         points_m = _opencv_points(scene, pair, mask)
         share = len(points_m) / np.count_nonzero(mask)

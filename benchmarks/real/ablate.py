@@ -21,8 +21,7 @@ import numpy as np
 from benchmarks.generated_pages import DOCS, table, write_table
 from benchmarks.real import common
 from benchmarks.real.__main__ import SETS
-from svmdist.estimation.instrument.shaft_detection import ShaftDetection
-from svmdist.estimation.instrument.shaft_model import ShaftSizes
+from svmdist.estimation.instrument.shaft import ShaftDetection, ShaftSizes
 from svmdist.vision import edge_lines, silhouette
 from svmdist.vision.instruments import outline_search
 

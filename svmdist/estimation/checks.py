@@ -14,7 +14,6 @@ from svmdist.estimation import comparison
 from svmdist.estimation.comparison import MAX_DEVIATIONS, Difference
 from svmdist.estimation.frame import Arm, Frame, Scene
 from svmdist.estimation.instrument.distal_marker import marker_in
-from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.tissue.detection import TissuePose, height_biases
 from svmdist.estimation.tissue.surface import depth_biases
@@ -229,7 +228,7 @@ def _of_surface(scene: Scene, pose: TissuePose, prior: Tissue) -> Iterator[Diffe
     P = np.linalg.pinv(B)
     fit, moved, own_m = P @ over_m, P @ by_shape, float(np.hypot(surface.std_m, pose.surface_std_m))
     of_fit = np.sqrt(np.diag(moved @ of_shape @ moved.T))  # what is uncertain of a dome's shape
-    of_cameras = depth_biases(middle_m, scene.observation.camera, right, Deviations.of(profile))
+    of_cameras = depth_biases(middle_m, scene.observation.camera, right, profile.camera_error)
     biases_m = [np.linalg.norm(one.jacobian) for one in (*height_biases(prior, middle_m), *of_cameras)]
     std_m = float(np.linalg.norm([*biases_m, of_fit[2], own_m]))
     by_both = comparison.TISSUE, comparison.DISPARITY

@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.instrument import shaft_detection
+from svmdist.estimation.instrument import shaft as shafts
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.tissue.detection import TissueDetection, detect_tissue
 from svmdist.estimation.tissue.surface import QUICK_PX, StereoSurface, detect_stereo_surface
@@ -50,7 +48,6 @@ class Arm:
         self.has_plate = has_plate  # its tag, or that of another instrument, is seen anywhere in the log
         self.chain = chain_of(profile.robot) if profile.robot else None
         self.body = InstrumentModel.of(profile)  # as capsules; None where the profile has no sizes of it
-        self.deviations = Deviations.of(profile)
 
     @property
     def required_chain(self) -> DHChain:
@@ -64,12 +61,12 @@ class Arm:
         return nominal_tool(robot.chain, self.profile.kinematic_error, robot)
 
     @cached_property
-    def straight(self) -> ShaftModel | None:
+    def straight(self) -> shafts.ShaftModel | None:
         """The instrument with straight joints, in no place; None without its sizes, or a chain with a shaft."""
         instrument = self.profile.instrument
         if instrument is None or self.chain is None or shaft_of(self.chain) is None:
             return None
-        return ShaftModel.of(Failure(""), self.chain, instrument)
+        return shafts.ShaftModel.of(Failure(""), self.chain, instrument)
 
     @property
     def plate_beside(self) -> float:
@@ -184,12 +181,12 @@ class View:
         return find_region(masks.tissue, rules.tissue, outline), instrument
 
     @cached_property
-    def distal_marker(self) -> shaft_detection.DistalMarker | None:
+    def distal_marker(self) -> shafts.DistalMarker | None:
         """The coloured marker about the tool's origin; None of a tip that has none."""
         if self.masks.seen is not None or (region := self.region) is None:  # found by shape, it has no colour
             return None
         settings = self._settings.distal_marker
-        return shaft_detection.detect_distal_marker(self.context.hsv, self.masks.instrument, region, settings)
+        return shafts.detect_distal_marker(self.context.hsv, self.masks.instrument, region, settings)
 
     @cached_property
     def silhouette(self) -> Silhouette | None:
@@ -224,15 +221,15 @@ class View:
         return find_shaft(masks.shaft, rule, covered, masks.black, may_be_print=may_be_print)
 
     @cached_property
-    def shaft(self) -> shaft_detection.ShaftDetection:
+    def shaft(self) -> shafts.ShaftDetection:
         """The shaft's edges and end."""
         straight, silhouette = self._arm.straight, self.silhouette
         if straight is None or silhouette is None:
-            return shaft_detection.NO_SHAFT
+            return shafts.NO_SHAFT
         # A plate hides sides; one whose tag is not read, bloody or cut by the border, has sharp ones of its own.
         soft = self._arm.plate_beside if self.has_plate else 0.0
         sharp = soft if self.tag_corners_px is None else 0.0
-        return shaft_detection.detect_silhouette(silhouette, self.camera, straight.radius_m, (sharp, soft))
+        return shafts.detect_silhouette(silhouette, self.camera, straight.radius_m, (sharp, soft))
 
     @cached_property
     def rim_ahead(self) -> tuple[float, float] | None:

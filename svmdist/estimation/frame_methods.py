@@ -15,6 +15,7 @@ from svmdist.estimation.instrument.distal_marker import pair_markers
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.factors import DISPARITY, marker_place_m
 from svmdist.estimation.instrument.image_pose import ImagePose
+from svmdist.estimation.instrument.measurement import disparity_biases, tag_biases
 from svmdist.estimation.instrument.model import wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import TagPose
 from svmdist.estimation.tissue.detection import TissuePose, require_tissue
@@ -88,7 +89,7 @@ def tool_from_tag(arm: Arm, camera: Camera, tag: TagPose, robot: RobotState) -> 
         return J
 
     J = carried(tag.T_camera_tag[:3, 3])
-    biases = arm.deviations.of_tag(tag.T_camera_tag, np.diag(camera.K)[:2])
+    biases = tag_biases(tag.T_camera_tag, np.diag(camera.K)[:2], arm.profile.camera_error, fiducial)
     of_parameters = sum((bias.jacobian @ bias.jacobian.T for bias in biases), np.zeros((6, 6)))
     covariance = J @ (tag.covariance + of_parameters) @ J.T
     # What the errors of kinematics do to the tool, less what they do to it through the tag's link.
@@ -187,7 +188,8 @@ def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
     p_camera_m, J = pair.point(markers.left.pixel, markers.disparity_px)
     # What baseline and the right camera's rotation may be off by is in the disparity's deviation.
     disparity_px = np.array(markers.disparity_px)
-    biases = frame.arm.deviations.of_disparity(p_camera_m, right.camera, disparity_px, right.T_view_left)
+    error = frame.arm.profile.camera_error
+    biases = disparity_biases(p_camera_m, right.camera, disparity_px, right.T_view_left, error)
     of_cameras_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
     seen, of_disparity_px2 = markers.left, markers.std_px**2 + markers.bias_std_px**2 + of_cameras_px2
     T_camera_tool = nominal.T_camera_tool.copy()

@@ -11,7 +11,7 @@ from importlib.resources import files
 from typing import Any
 
 from svmdist.errors import UsageError, did_you_mean
-from svmdist.estimation.instrument.shaft_model import ShaftSizes
+from svmdist.estimation.instrument.shaft import ShaftSizes
 from svmdist.profile import Topics
 from svmdist.profile.robot import Instrument, Joint
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot

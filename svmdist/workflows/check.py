@@ -16,7 +16,6 @@ from svmdist.estimation.association import Association
 from svmdist.estimation.comparison import KINEMATICS, ROWS, Checks, Difference
 from svmdist.estimation.frame import Arm, Frame, Scene
 from svmdist.estimation.frame_methods import places_of
-from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.profile import Profile
 from svmdist.profile.robot import Tissue
@@ -266,7 +265,7 @@ def tissue_surface(recording: Recording, number: int) -> TissueSurface:
     return TissueSurface(
         surface.points_m,
         surface.normals[is_seen],
-        surface.deviations_m(seen.camera, right, Deviations.of(profile))[is_seen],
+        surface.deviations_m(seen.camera, right, profile.camera_error)[is_seen],
         np.ascontiguousarray(surface.colours(seen.image_bgr, seen.camera)[:, ::-1]),
         surface.share,
         number,

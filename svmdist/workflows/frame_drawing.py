@@ -14,7 +14,7 @@ from svmdist.drawing import Form, FrameDrawing, Label, Part, Segment, Shape, Sta
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import shaft_sections
-from svmdist.estimation.instrument.shaft_detection import DistalMarker
+from svmdist.estimation.instrument.shaft import DistalMarker
 from svmdist.estimation.planar import MarkerSearch, search_marker
 from svmdist.recording.log import Recording
 from svmdist.results import Distance, FrameResult

@@ -14,7 +14,6 @@ import numpy as np
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.estimation.entries import SIDE_MIDDLES
 from svmdist.estimation.frame import Scene
-from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Topics, load_profile
@@ -259,7 +258,7 @@ def _surface(
     if recording.right_camera is None:
         return None, 0
     rules = _blank({}).model_copy(update={"segmentation": AutoSegmentation(method="auto"), "tissue": SOMEWHERE})
-    segmenter, deviations = make_segmenter(rules.segmentation), Deviations(CameraError())
+    segmenter = make_segmenter(rules.segmentation)
     rows = rows or offset_to_remove(observations, rules)
     clouds, stds_m = [], []
     for observation in observations:
@@ -268,7 +267,7 @@ def _surface(
         if surface is None or right is None:
             continue
         clouds.append(surface.points_m[:: max(1, len(surface.points_m) // POINTS_PER_PAIR)])
-        biases = depth_biases(np.median(surface.points_m, 0), scene.observation.camera, right, deviations)
+        biases = depth_biases(np.median(surface.points_m, 0), scene.observation.camera, right, CameraError())
         stds_m.append(float(np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases))))
     if len(clouds) < MIN_PLANES:
         return None, 0

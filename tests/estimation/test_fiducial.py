@@ -96,12 +96,13 @@ def test_a_length_moves_the_tool_along_its_own_axis(name):
     """In both conventions: the covariance is that of the derivatives by differences of the chain's lengths."""
     profile, mounting = load_profile(name), PROFILE.fiducial
     chain = kinematics.chain_of(profile.robot)
-    fiducial = mounting.model_copy(update={"link": chain.rows[kinematics.rows_behind_insertion(chain)[0]].name})
+    link = chain.rows[kinematics.rows_behind_insertion(chain)[0]].name
+    exact = {"size_std_fraction": 0.0, "position_std_m": 0.0, "rotation_std_rad": 0.0}
+    fiducial = mounting.model_copy(update={"link": link, **exact})
     q = 0.4 * chain.lower + 0.6 * chain.upper
     tag = TagPose(make_transform(rotation_x(2.0), [0.0, 0.0, 0.09]), np.zeros((6, 6)))
     error = KinematicError(joint_std_rad=0.0, joint_std_m=0.0, play_std_rad=0.0, length_std_m=4e-4)
-    arm = Arm(profile.model_copy(update={"fiducial": fiducial, "kinematic_error": error}))
-    arm.deviations = EXACT
+    arm = Arm(profile.model_copy(update={"fiducial": fiducial, "kinematic_error": error, "camera_error": EXACT}))
 
     def tool_m(chain: DHChain) -> Array:
         return tool_from_tag(arm, CAMERA, tag, RobotState(chain, 0, q)).position_m

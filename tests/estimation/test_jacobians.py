@@ -8,7 +8,7 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.estimation.instrument import measurement as kinds
 from svmdist.estimation.instrument.error_model import CorrectedLink, CorrectedLinks, Correction, ErrorModel
-from svmdist.estimation.instrument.measurement import END_BIAS, EXACT, JAWS, Deviations, LinkMeasurement, PointError
+from svmdist.estimation.instrument.measurement import END_BIAS, EXACT, JAWS, LinkMeasurement, PointError
 from svmdist.estimation.instrument.state import linearise
 from svmdist.kinematics import DHChain, ShaftAxis, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
@@ -32,7 +32,7 @@ def shaded(place_std_m: float, shading_px: float = 0.0) -> PointError:
 
 rng = np.random.default_rng(0)
 ACROSS = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-AXIS, ROOT, FOCAL_PX = ACROSS[2], rng.normal(size=(6, 6)), np.ones(2)
+AXIS, ROOT = ACROSS[2], rng.normal(size=(6, 6))
 NEAR, FAR = (
     make_transform(rotation_of(turn * rng.normal(size=3)) @ T_LINK[:3, :3], [0.012, -0.02, 0.088])
     for turn in (1e-9, 0.9)
@@ -68,7 +68,7 @@ def edge(side: int) -> LinkMeasurement:
         ShaftAxis("shaft", np.array([0.001, -0.002, 0.003]), AXIS),
     )
     by_bias = np.diag(np.sqrt([2e-4, 1e-6]))
-    in_view = kinds.edge(contour, ACROSS[:2], by_bias, shaft, 0.004, FOCAL_PX, EXACT)
+    in_view = kinds.edge(contour, ACROSS[:2], by_bias, shaft, 0.004, 0.0, np.ones(2), EXACT)
     return made(f"edge {side}", in_view, np.diag([1e-4, 1e-6]), "shaft")
 
 
@@ -84,10 +84,10 @@ def measurements() -> list[LinkMeasurement]:
         *(replace(one, name=f"right {one.name}", T_view_left=T_RIGHT_LEFT) for one in (sides[0], ends[0])),
         pair(shaded(1e-4, 0.5)),
         pair(shaded(1e-4), left=LENS, name="lens"),
-        made("size", kinds.sphere_size(IDEAL, 0.00175, 12.0, 0.2, 0.5), np.eye(1)),
+        made("size", kinds.sphere_size(IDEAL, 0.00175, 0.0, 12.0, 0.2, 0.5), np.eye(1)),
         *sides,
-        made("near", kinds.pose(T_frame, NEAR @ T_frame, ROOT, FOCAL_PX), np.eye(6), "tag"),
-        made("far", kinds.pose(T_frame, FAR, np.eye(6), FOCAL_PX), np.eye(6), "tag"),
+        made("near", kinds.pose(T_frame, NEAR @ T_frame, ROOT), np.eye(6), "tag"),
+        made("far", kinds.pose(T_frame, FAR, np.eye(6)), np.eye(6), "tag"),
     ]
 
 
@@ -129,8 +129,8 @@ def test_where_the_right_picture_is_cut_does_not_matter_for_disparity():
         pair(shaded(1e-4, 0.5), right=replace(IDEAL, K=at), disparity_px=30.0 - at[0, 2] + IDEAL.K[0, 2])
         for at in (IDEAL.K, K)
     )
-    unsure = Deviations(CameraError(focal_std_fraction=0.01))
-    found, other = (replace(one, deviations=unsure).linearise(T_LINK) for one in (whole, cut))
+    unsure = CameraError(focal_std_fraction=0.01)
+    found, other = (replace(one, camera_error=unsure).linearise(T_LINK) for one in (whole, cut))
     assert found.residual == pytest.approx(other.residual)
     assert any(np.abs(bias.jacobian).max() > 0.1 for bias in found.biases)
     for one, same in zip(found.biases, other.biases, strict=True):

@@ -12,8 +12,7 @@ from svmdist.estimation.frame_methods import certain
 from svmdist.estimation.instrument.factors import end, of_images
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import InstrumentModel, shaft_sections
-from svmdist.estimation.instrument.shaft_detection import NO_SHAFT
-from svmdist.estimation.instrument.shaft_model import ShaftSizes
+from svmdist.estimation.instrument.shaft import NO_SHAFT, ShaftSizes
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.robot import Instrument
 from svmdist.profile.segmentation import AutoSegmentation

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.shaft_model import ShaftSizes
+from svmdist.estimation.instrument.shaft import ShaftSizes
 from svmdist.estimation.instrument.verification import contradiction
 from svmdist.estimation.tissue.detection import DomeModel, TissuePose, detect_tissue, tissue_frame
 from svmdist.geometry import Capsules, Cloud

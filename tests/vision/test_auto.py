@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from benchmarks.masks import iou
-from svmdist.estimation.instrument.shaft_model import ShaftSizes
+from svmdist.estimation.instrument.shaft import ShaftSizes
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.recording.log import open_recording

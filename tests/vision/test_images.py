@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.shaft_detection import detect_distal_marker
+from svmdist.estimation.instrument.shaft import detect_distal_marker
 from svmdist.profile import load_profile
 from svmdist.profile.segmentation import ColourRegion
 from svmdist.profile.settings import DistalMarkerSettings, OutlineSettings

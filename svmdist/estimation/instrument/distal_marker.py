@@ -8,7 +8,7 @@ import numpy as np
 
 from svmdist.estimation.frame import Arm, Frame, View
 from svmdist.estimation.instrument.measurement import MARKER, PointError
-from svmdist.estimation.instrument.shaft_detection import FARTHEST_M, STD_PER_DOUBT
+from svmdist.estimation.instrument.shaft import FARTHEST_M, STD_PER_DOUBT
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, transform_points
 from svmdist.vision.lines import axis_of_cylinder, without_perspective

@@ -73,10 +73,10 @@ def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool
         return
     axis = arm.straight.axis
     # What both edges get wrong alike is to the tool what a wrong radius is.
-    radius_std = float(np.hypot(arm.deviations.shaft_radius_fraction, view.shaft.width_std))
+    radius_m, camera_error = arm.straight.radius_m, arm.profile.camera_error
+    radius_std = float(np.hypot(arm.straight.instrument.shaft_radius_std_fraction, view.shaft.width_std))
     if is_alone:  # no other view shows the depth of what may be a wrist
         radius_std = float(np.hypot(radius_std, view.shaft.wrist_std))
-    deviations = replace(arm.deviations, shaft_radius_fraction=radius_std)
     focal_px, time_s = np.diag(view.camera.K)[:2], arm.profile.settings.filter.edge_correlation_time_s
     for contour in view.shaft.contours:
         _, axes = np.linalg.eigh(contour.covariance)
@@ -85,12 +85,12 @@ def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool
         by_bias = kinds.bias_jacobian(correlated_share * covariance)
         yield LinkMeasurement(
             name=EDGE.format(contour.side),
-            in_view=kinds.edge(contour, across, by_bias, axis, arm.straight.radius_m, focal_px, deviations),
+            in_view=kinds.edge(contour, across, by_bias, axis, radius_m, radius_std, focal_px, camera_error),
             covariance=(1.0 - correlated_share) * covariance,
             link=axis.link,
             source=SHAFT,
             correlation_time_s=time_s,
-            deviations=deviations,
+            camera_error=camera_error,
         )
 
 
@@ -104,13 +104,13 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
     bias_std_px = float(np.sqrt(CORRELATED_OUTLINE)) * rim.std_px
     yield LinkMeasurement(
         name="end",
-        in_view=kinds.shaft_end(view.camera, rim, *place, ahead[1], bias_std_px, arm.deviations),
+        in_view=kinds.shaft_end(view.camera, rim, *place, ahead[1], bias_std_px, arm.profile.camera_error),
         covariance=np.array([[(1.0 - CORRELATED_OUTLINE) * rim.std_px**2]]),
         link=straight.axis.link,
         source=SHAFT,
         bias=kinds.END_BIAS,  # whichever view shows it
         correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
-        deviations=arm.deviations,
+        camera_error=arm.profile.camera_error,
         rests_on=tuple(EDGE.format(contour.side) for contour in view.shaft.contours),
     )
 
@@ -121,7 +121,8 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
     if seen is None:
         return
     time_s = arm.profile.settings.filter.point_correlation_time_s
-    of_marker = partial(LinkMeasurement, source=kinds.MARKER, deviations=arm.deviations, correlation_time_s=time_s)
+    error = arm.profile.camera_error
+    of_marker = partial(LinkMeasurement, source=kinds.MARKER, correlation_time_s=time_s, camera_error=error)
     in_view = kinds.point(view.camera, seen.pixel, marker_place_m(arm, seen), seen.error)
     # What another part is off is not what the marker is.
     bias = "" if seen.error.name == seen.name else seen.error.name
@@ -132,13 +133,15 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
     if marker is not None and marker.radius_px is not None and not is_other_part:
         variance_px2 = marker.radius_std_px**2 - marker.hidden_px**2
         stds_px = float(np.sqrt(CORRELATED_SIZE * variance_px2)), marker.hidden_px
-        in_view = kinds.sphere_size(view.camera, instrument.knuckle_radius_m, marker.radius_px, *stds_px)
+        radius = instrument.knuckle_radius_m, instrument.knuckle_radius_std_fraction
+        in_view = kinds.sphere_size(view.camera, *radius, marker.radius_px, *stds_px)
         yield of_marker(name=SIZE, in_view=in_view, covariance=np.array([[(1.0 - CORRELATED_SIZE) * variance_px2]]))
     if seen.name == WRIST and (wrist := view.shaft.wrist) is not None and arm.straight is not None:
         tip_m, C = instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3], wrist.tip_std_px**2 * np.eye(2)
-        error = kinds.PointError(kinds.JAWS, arm.straight.jaw_tip_std_m)
-        in_view = kinds.point(view.camera, wrist.tip_px, tip_m, error)
-        yield of_marker(name="jaws' tip", in_view=in_view, covariance=C, bias=error.name)
+        in_view = kinds.point(
+            view.camera, wrist.tip_px, tip_m, kinds.PointError(kinds.JAWS, arm.straight.jaw_tip_std_m)
+        )
+        yield of_marker(name="jaws' tip", in_view=in_view, covariance=C, bias=kinds.JAWS)
 
 
 def _in_right_view(one: LinkMeasurement, view: View) -> LinkMeasurement:
@@ -158,7 +161,7 @@ def _disparity(frame: Frame, right: View, markers: MarkerPair) -> LinkMeasuremen
         source=DISPARITY,
         bias=left.error.name,
         correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
-        deviations=arm.deviations,
+        camera_error=arm.profile.camera_error,
     )
 
 
@@ -172,15 +175,17 @@ def tag(frame: Frame, robot: RobotState, predicted: ToolPose, correlated_share: 
     std_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[3:, 3:])[-1]))
     found = frame.tag_near(R_camera_tag, std_rad)
     if found is not None:
-        by_bias, focal_px = kinds.bias_jacobian(correlated_share * found.covariance), np.diag(frame.left.camera.K)[:2]
+        error, focal_px = frame.arm.profile.camera_error, np.diag(frame.left.camera.K)[:2]
+        shared = kinds.tag_biases(found.T_camera_tag, focal_px, error, fiducial)
+        by_bias = kinds.bias_jacobian(correlated_share * found.covariance)
         yield LinkMeasurement(
             name=TAG,
-            in_view=kinds.pose(fiducial.T_link_tag, found.T_camera_tag, by_bias, focal_px),
+            in_view=kinds.pose(fiducial.T_link_tag, found.T_camera_tag, by_bias, shared),
             covariance=(1.0 - correlated_share) * found.covariance,
             link=fiducial.link,
             source=TAG,
             correlation_time_s=TAG_CORRELATION_TIME_S,
-            deviations=frame.arm.deviations,
+            camera_error=error,
         )
 
 

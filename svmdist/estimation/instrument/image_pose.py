@@ -17,8 +17,7 @@ from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
 from svmdist.estimation.instrument.factors import DISPARITY, jaw_scale, of_images
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
-from svmdist.estimation.instrument.shaft_detection import ShaftDetection
-from svmdist.estimation.instrument.shaft_model import ShaftModel
+from svmdist.estimation.instrument.shaft import ShaftDetection, ShaftModel
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
 from svmdist.results import Failure, ToolPose

@@ -225,7 +225,7 @@ class KinematicErrorFilter:
 
 def as_measurement(pose: ToolPose) -> LinkMeasurement:
     """A pose by the images as a measurement of the tool."""
-    in_view = kinds.pose(np.eye(4), pose.T_camera_tool, np.zeros((6, 6)), np.ones(2))
+    in_view = kinds.pose(np.eye(4), pose.T_camera_tool, np.zeros((6, 6)))
     covariance = pose.covariance + TINY_POSE
     return LinkMeasurement(name="pose", in_view=in_view, covariance=covariance, correlation_time_s=ONE_FRAME_S)
 

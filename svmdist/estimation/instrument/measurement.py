@@ -14,9 +14,8 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.kinematics import ShaftAxis
-from svmdist.profile import Profile
 from svmdist.profile.hand_eye import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS, TAG_SIZE
-from svmdist.profile.robot import CameraError
+from svmdist.profile.robot import CameraError, Fiducial
 from svmdist.transforms import Array, inverse_right_jacobian, rotation_vector, skew
 from svmdist.vision.lines import TangentPlane, apparent_radius_px, tangent_normal
 from svmdist.vision.silhouette import Rim
@@ -39,67 +38,45 @@ class BiasTerm:
     correlation_time_s: float = FOR_EVER_S
 
 
-@dataclass(frozen=True)
-class Deviations:
-    """The profile's standard deviations of the calibration parameters; fractions are of the parameter itself."""
-
-    camera: CameraError
-    shaft_radius_fraction: float = 0.0
-    marker_radius_fraction: float = 0.0
-    tag_size_fraction: float = 0.0
-    tag_position_m: float = 0.0
-    tag_rotation_rad: float = 0.0
-
-    @classmethod
-    def of(cls, profile: Profile) -> Deviations:
-        """The profile's."""
-        radii, of_tag = (0.0, 0.0), (0.0, 0.0, 0.0)
-        if (instrument := profile.instrument) is not None:
-            radii = instrument.shaft_radius_std_fraction, instrument.knuckle_radius_std_fraction
-        if (tag := profile.fiducial) is not None:
-            of_tag = tag.size_std_fraction, tag.position_std_m, tag.rotation_std_rad
-        return cls(profile.camera_error, *radii, *of_tag)
-
-    def of_pixels(self, pixel: Array, camera: Camera) -> tuple[BiasTerm, ...]:
-        """Of a projected point, shape (2,): focal length and principal point."""
-        focal = self.camera.focal_std_fraction * (pixel - camera.K[:2, 2])
-        centre = self.camera.centre_std_px * np.eye(2)
-        return BiasTerm(FOCAL_LENGTH, focal[:, None]), BiasTerm(PRINCIPAL_POINT, centre)
-
-    def of_disparity(
-        self, p_left_m: Array, right: Camera, disparity_px: Array, T_right_left: Array
-    ) -> tuple[BiasTerm, ...]:
-        """Of the disparities, shape (...), of points in the left camera, (..., 3), as the right camera sees them.
-
-        They are x in the left view less x in the right one, both from the principal point, which is off with focal
-        length and the right camera's pose.
-        """
-        p_right_m = (T_right_left[:3, :3] @ p_left_m[..., None])[..., 0] + T_right_left[:3, 3]
-        p_right_m = np.where(p_right_m[..., 2:] >= MIN_DEPTH_M, p_right_m, AHEAD_M)
-        slope = right.project_with_derivative(p_right_m)[1][..., :1, :]
-        focal = self.camera.focal_std_fraction * disparity_px[..., None, None]
-        by_baseline = -(slope * T_right_left[:3, 3]).sum(-1) * self.camera.baseline_std_fraction
-        by_turn = slope @ skew(p_right_m) * self.camera.right_rotation_std_rad
-        turned = BiasTerm(RIGHT_ROTATION, by_turn, ONE_PLACE_S)
-        return BiasTerm(FOCAL_LENGTH, focal), BiasTerm(BASELINE, by_baseline[..., None]), turned
-
-    def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[BiasTerm, ...]:
-        """Of a tag's pose, shape (4, 4): focal length, principal point, the tag's size, and how it is mounted."""
-        p_m, R = T_camera_tag[:3, 3], T_camera_tag[:3, :3]
-        focal, centre, size, mounting = (np.zeros((6, count)) for count in (1, 2, 1, 6))
-        focal[2, 0] = -self.camera.focal_std_fraction * p_m[2]
-        centre[:3] = self.camera.centre_std_px * p_m[2] * (np.eye(3)[:, :2] / focal_px)
-        centre[3, 1], centre[4, 0] = self.camera.centre_std_px * np.array([-1.0, 1.0]) / focal_px[::-1]
-        size[:3, 0] = -self.tag_size_fraction * p_m
-        mounting[:3, :3], mounting[3:, 3:] = self.tag_position_m * R, self.tag_rotation_rad * R
-        names = FOCAL_LENGTH, PRINCIPAL_POINT, TAG_SIZE, "tag mounting"
-        return tuple(map(BiasTerm, names, (focal, centre, size, mounting)))
+def pixel_biases(pixel: Array, camera: Camera, error: CameraError) -> tuple[BiasTerm, ...]:
+    """What cameras' errors do to a projected point, shape (2,): focal length and principal point."""
+    focal = error.focal_std_fraction * (pixel - camera.K[:2, 2])
+    centre = error.centre_std_px * np.eye(2)
+    return BiasTerm(FOCAL_LENGTH, focal[:, None]), BiasTerm(PRINCIPAL_POINT, centre)
 
 
-EXACT = Deviations(
-    CameraError(focal_std_fraction=0.0, centre_std_px=0.0, baseline_std_fraction=0.0, right_rotation_std_rad=0.0)
-)
-"""Calibration parameters without errors."""
+def disparity_biases(
+    p_left_m: Array, right: Camera, disparity_px: Array, T_right_left: Array, error: CameraError
+) -> tuple[BiasTerm, ...]:
+    """The same of the disparities, shape (...), of points in the left camera, (..., 3), as the right camera sees them.
+
+    They are x in the left view less x in the right one, both from the principal point, which is off with focal
+    length and the right camera's pose.
+    """
+    p_right_m = (T_right_left[:3, :3] @ p_left_m[..., None])[..., 0] + T_right_left[:3, 3]
+    p_right_m = np.where(p_right_m[..., 2:] >= MIN_DEPTH_M, p_right_m, AHEAD_M)
+    slope = right.project_with_derivative(p_right_m)[1][..., :1, :]
+    focal = error.focal_std_fraction * disparity_px[..., None, None]
+    by_baseline = -(slope * T_right_left[:3, 3]).sum(-1) * error.baseline_std_fraction
+    by_turn = slope @ skew(p_right_m) * error.right_rotation_std_rad
+    turned = BiasTerm(RIGHT_ROTATION, by_turn, ONE_PLACE_S)
+    return BiasTerm(FOCAL_LENGTH, focal), BiasTerm(BASELINE, by_baseline[..., None]), turned
+
+
+def tag_biases(T_camera_tag: Array, focal_px: Array, error: CameraError, tag: Fiducial) -> tuple[BiasTerm, ...]:
+    """The same of a tag's pose, shape (4, 4): focal length, principal point, the tag's size, and how it is mounted."""
+    p_m, R = T_camera_tag[:3, 3], T_camera_tag[:3, :3]
+    focal, centre, size, mounting = (np.zeros((6, count)) for count in (1, 2, 1, 6))
+    focal[2, 0] = -error.focal_std_fraction * p_m[2]
+    centre[:3] = error.centre_std_px * p_m[2] * (np.eye(3)[:, :2] / focal_px)
+    centre[3, 1], centre[4, 0] = error.centre_std_px * np.array([-1.0, 1.0]) / focal_px[::-1]
+    size[:3, 0] = -tag.size_std_fraction * p_m
+    mounting[:3, :3], mounting[3:, 3:] = tag.position_std_m * R, tag.rotation_std_rad * R
+    names = FOCAL_LENGTH, PRINCIPAL_POINT, TAG_SIZE, "tag mounting"
+    return tuple(map(BiasTerm, names, (focal, centre, size, mounting)))
+
+
+EXACT = CameraError(focal_std_fraction=0.0, centre_std_px=0.0, baseline_std_fraction=0.0, right_rotation_std_rad=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,14 +118,14 @@ class LinkMeasurement:
     source: str = ""  # the detection that it is made of
     bias: str = ""  # the name of its bias, where others share it
     correlation_time_s: float  # with which the bias fades
-    deviations: Deviations = EXACT
+    camera_error: CameraError = EXACT
     T_view_left: Array | None = None  # for a right view: maps the left camera's coordinates to the right one's
     delay_s: float = 0.0  # of what the image shows, after the frame's stamp
     rests_on: tuple[str, ...] = ()
 
     def linearise(self, T_camera_link: Array) -> Linearised:
         """All that it says about a pose of the link, shape (4, 4), in the left camera's frame."""
-        T_view_left, camera = self.T_view_left, self.deviations.camera
+        T_view_left, error = self.T_view_left, self.camera_error
         T = T_camera_link if T_view_left is None else T_view_left @ T_camera_link
         if (seen := self.in_view(self, T)) is None:  # behind the camera, or around it
             size = len(self.covariance)
@@ -157,8 +134,8 @@ class LinkMeasurement:
         if T_view_left is not None:
             by_place, by_turn = H[:, :3], H[:, 3:]
             # The right camera is off by its place along the baseline, and turned about its own centre.
-            baseline = camera.baseline_std_fraction * by_place @ T_view_left[:3, 3, None]
-            turned = (by_turn - by_place @ skew(T[:3, 3])) * camera.right_rotation_std_rad
+            baseline = error.baseline_std_fraction * by_place @ T_view_left[:3, 3, None]
+            turned = (by_turn - by_place @ skew(T[:3, 3])) * error.right_rotation_std_rad
             biases = *biases, BiasTerm(BASELINE, baseline), BiasTerm(RIGHT_ROTATION, turned, ONE_PLACE_S)
             H = H @ np.kron(np.eye(2), T_view_left[:3, :3])
         return Linearised(seen.residual, H, biases, self.covariance)
@@ -209,7 +186,7 @@ def point(camera: Camera, pixel: Array, p_link_m: Array, error: PointError) -> I
             return None
         projected, J = camera.project_with_derivative(p_camera_m)
         H = np.concatenate([J, -J @ skew(arm_m)], 1)
-        tilt, shared = (pixel - K[:2, 2]) / np.diag(K)[:2], one.deviations.of_pixels(pixel, camera)
+        tilt, shared = (pixel - K[:2, 2]) / np.diag(K)[:2], pixel_biases(pixel, camera, one.camera_error)
         return error.about(pixel - projected, H, R, tilt, shared, one.correlation_time_s)
 
     return in_view
@@ -241,7 +218,7 @@ def disparity(
         by_place = J_left[:1] - J_right[:1] @ R_right_left
         H = np.concatenate([by_place, -by_place @ skew(arm_m)], 1)
         residual = np.array([disparity_px - float(left_px[0] - right_px[0])])
-        shared = one.deviations.of_disparity(p_left_m, right, by_depth_px, T_right_left)
+        shared = disparity_biases(p_left_m, right, by_depth_px, T_right_left, one.camera_error)
         found = error.about(residual, H, R, by_depth_px[None] / left.K[0, 0], shared, time_s)
         of_image = BiasTerm("disparity of the marker", np.array([[bias_std_px]]), time_s)
         return found._replace(shared=(*found.shared, of_image))
@@ -250,7 +227,12 @@ def disparity(
 
 
 def sphere_size(
-    camera: Camera, radius_m: float, radius_px: float, bias_std_px: float, hidden_std_px: float = 0.0
+    camera: Camera,
+    radius_m: float,
+    radius_std_fraction: float,
+    radius_px: float,
+    bias_std_px: float,
+    hidden_std_px: float = 0.0,
 ) -> InView:
     """The radius in px of the disc that a sphere about a link's origin shows: measured minus predicted, shape (1,).
 
@@ -266,7 +248,7 @@ def sphere_size(
         slope = 0.5 * p_m / float(p_m @ p_m)
         slope[2] -= 1.5 / p_m[2]
         H = np.concatenate([predicted_px * slope, np.zeros(3)])[None]
-        fractions = one.deviations.camera.focal_std_fraction, one.deviations.marker_radius_fraction
+        fractions = one.camera_error.focal_std_fraction, radius_std_fraction
         focal, radius = (np.array([[fraction * radius_px]]) for fraction in fractions)
         shared: tuple[BiasTerm, ...] = BiasTerm(FOCAL_LENGTH, focal), BiasTerm("marker radius", radius)
         if hidden_std_px:
@@ -287,8 +269,9 @@ def edge(
     by_bias: Array,
     shaft: ShaftAxis,
     radius_m: float,
+    radius_std_fraction: float,
     focal_px: Array,
-    deviations: Deviations,
+    error: CameraError,
 ) -> InView:
     """One edge of the shaft's silhouette: by what its plane's normal is off the predicted one, shape (2,) in rad.
 
@@ -296,7 +279,7 @@ def edge(
     bias of shading, which stays as long as the light falls on the edge so.
     """
     # What focal length and principal point do to it, whatever the pose.
-    error, flat = deviations.camera, contour.normal * np.array([1.0, 1.0, 0.0])
+    flat = contour.normal * np.array([1.0, 1.0, 0.0])
     focal = -error.focal_std_fraction * (across @ flat[:, None])
     centre = -error.centre_std_px * across[:, 2:] * (contour.normal[:2] / focal_px)
     of_camera = BiasTerm(FOCAL_LENGTH, focal), BiasTerm(PRINCIPAL_POINT, centre)
@@ -312,7 +295,7 @@ def edge(
         square_m2 = (foot_m * foot_m).sum()
         beside_m = contour.side * np.sqrt(max(square_m2 - radius_m**2, MIN_DEPTH_M**2))
         by_radius = (beside_m * foot_m - radius_m * (skew(d) @ foot_m)) / (square_m2 * beside_m)
-        radius = across @ (by_radius * radius_m)[:, None] * deviations.shaft_radius_fraction
+        radius = across @ (by_radius * radius_m)[:, None] * radius_std_fraction
         return Seen(across @ (contour.normal - normal), H, by_bias, (*of_camera, BiasTerm(SHAFT_RADIUS, radius)))
 
     return in_view
@@ -327,7 +310,7 @@ def shaft_end(
     radius_m: float,
     model_std_m: float,
     bias_std_px: float,
-    deviations: Deviations,
+    error: CameraError,
 ) -> InView:
     """Where the shaft's end is along its middle line in the image: measured minus predicted in px, shape (1,).
 
@@ -335,7 +318,7 @@ def shaft_end(
     and how wrong that may be. That of the dark part ends the generatrix that faces the camera, at `radius_m` off the
     axis; the outline's is on it. A band or a plate that is taken for the end stays one, `bias_std_px` off.
     """
-    towards_tip, each = rim.towards_tip, deviations.of_pixels(rim.pixel, camera)
+    towards_tip, each = rim.towards_tip, pixel_biases(rim.pixel, camera, error)
     of_camera = [BiasTerm(one.name, (towards_tip @ one.jacobian)[None]) for one in each]
 
     def in_view(_: LinkMeasurement, T_view_link: Array) -> Seen | None:
@@ -361,10 +344,10 @@ def shaft_end(
     return in_view
 
 
-def pose(T_link_frame: Array, T_camera_frame: Array, by_bias: Array, focal_px: Array) -> InView:
+def pose(T_link_frame: Array, T_camera_frame: Array, by_bias: Array, shared: Sequence[BiasTerm] = ()) -> InView:
     """A pose measured as a whole, of a frame that is fixed on a link: (δp, δθ) from predicted to measured, (6,)."""
 
-    def in_view(one: LinkMeasurement, T_view_link: Array) -> Seen | None:
+    def in_view(_: LinkMeasurement, T_view_link: Array) -> Seen | None:
         predicted = T_view_link @ T_link_frame
         turn = rotation_vector(T_camera_frame[:3, :3] @ predicted[:3, :3].T)
         H = np.zeros((6, 6))
@@ -373,6 +356,6 @@ def pose(T_link_frame: Array, T_camera_frame: Array, by_bias: Array, focal_px: A
         # exp([φ]) exp([-δθ]) = exp([φ - J⁻¹ δθ]), J the right Jacobian (Solà 2018, "A micro Lie theory", sec. 4.3).
         H[3:, 3:] = inverse_right_jacobian(turn)
         residual = np.concatenate([T_camera_frame[:3, 3] - predicted[:3, 3], turn])
-        return Seen(residual, H, by_bias, one.deviations.of_tag(T_camera_frame, focal_px))
+        return Seen(residual, H, by_bias, shared)
 
     return in_view

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.measurement import BiasTerm, Deviations
+from svmdist.estimation.instrument.measurement import BiasTerm, disparity_biases
 from svmdist.profile import Profile
+from svmdist.profile.robot import CameraError
 from svmdist.samples import Image, RightView
 from svmdist.tracks import Mask
 from svmdist.transforms import Array, inverse
@@ -44,9 +45,9 @@ class StereoSurface:
         """The deviation of matching of half of them."""
         return float(np.median(self.grid_std_m[self.is_seen]))
 
-    def deviations_m(self, camera: Camera, right: RightView, deviations: Deviations) -> Array:
+    def deviations_m(self, camera: Camera, right: RightView, error: CameraError) -> Array:
         """Of every point of the grid, by matching and by the cameras' calibration, shape (h, w)."""
-        biases = depth_biases(self.grid_m.reshape(-1, 3), camera, right, deviations)
+        biases = depth_biases(self.grid_m.reshape(-1, 3), camera, right, error)
         square = sum(np.sum(bias.jacobian**2, axis=(1, 2)) for bias in biases)
         return np.asarray(np.sqrt(self.grid_std_m**2 + np.reshape(square, self.grid_std_m.shape)))
 
@@ -57,12 +58,12 @@ class StereoSurface:
         return np.asarray(bgr[rows.clip(0, height - 1), columns.clip(0, width - 1)])
 
 
-def depth_biases(points_m: Array, camera: Camera, right: RightView, deviations: Deviations) -> tuple[BiasTerm, ...]:
+def depth_biases(points_m: Array, camera: Camera, right: RightView, error: CameraError) -> tuple[BiasTerm, ...]:
     """What errors of both cameras do to the depth in m that a surface by stereo has at points, shape (..., 3)."""
     T_right_left = inverse(right.T_left_right)
     disparity_px = np.asarray(camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / points_m[..., 2])
     by_px = (points_m[..., 2] / disparity_px)[..., None, None]
-    biases = deviations.of_disparity(points_m, right.camera, disparity_px, T_right_left)
+    biases = disparity_biases(points_m, right.camera, disparity_px, T_right_left, error)
     return tuple(BiasTerm(bias.name, by_px * bias.jacobian, bias.correlation_time_s) for bias in biases)
 
 

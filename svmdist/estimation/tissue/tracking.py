@@ -104,7 +104,7 @@ def surface_by_stereo(frame: Frame, known: TissuePose) -> TissuePose | None:
     surface, right = frame.scene.stereo_surface, frame.scene.observation.right
     if surface is None or right is None:
         return None
-    std_m, within = surface.deviations_m(frame.left.camera, right, frame.arm.deviations), surface.is_within
+    std_m, within = surface.deviations_m(frame.left.camera, right, frame.arm.profile.camera_error), surface.is_within
     cloud = Cloud(surface.grid_m[within], std_m[within])  # also what is hidden between what is seen
     off_m = _off_plane_m(surface.points_m, median(cloud.std_m), require_tissue(frame.arm.profile))
     return replace(known, surface=cloud, surface_std_m=off_m, dome=None, is_measured=True)
@@ -136,7 +136,7 @@ def measure_height(prior: Tissue, known: TissuePose, frame: Frame, kalman: Kinem
     at_m = np.median(surface.points_m[above.inner], 0)
     # Depth along the ray to height along the plane's normal: a larger disparity is nearer to the camera.
     along_normal = abs(float(dome.T_camera_tissue[:3, 2] @ at_m) / float(at_m[2]))
-    by_depth = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
+    by_depth = depth_biases(at_m, frame.left.camera, right, frame.arm.profile.camera_error)
     of_cameras = [replace(bias, jacobian=along_normal * bias.jacobian) for bias in by_depth]
     by_shape = dome.derivative(above.flat_m).mean(0)
     dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
@@ -150,7 +150,7 @@ def measure_height(prior: Tissue, known: TissuePose, frame: Frame, kalman: Kinem
 
 def at_height(prior: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter) -> tuple[TissuePose, Array]:
     """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
-    camera, of_camera = frame.left.camera, frame.arm.deviations.camera
+    camera, of_camera = frame.left.camera, frame.arm.profile.camera_error
     plane, biases = detection.tissue_plane(prior), detection.height_biases(prior, known.position_m)
     offset_m = plane.offset_m + sum(float(bias.jacobian[0, 0]) * kalman.state.bias(bias.name) for bias in biases)
     scale = offset_m / plane.offset_m
