@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import svmdist
-from svmdist.estimation.lag import estimate_lag
+from svmdist.estimation.alignment import estimate_lag
 from svmdist.estimation.plane_mapping import load_calibration
 from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import svmdist
 from benchmarks.masks import instruments_of, shipped_network
-from svmdist.estimation.hand_eye import rigid_fit
+from svmdist.estimation.alignment import rigid_fit
 from svmdist.profile import Profile
 from svmdist.results import FrameResult, ToolPose
 from svmdist.samples import Image

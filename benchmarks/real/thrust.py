@@ -15,7 +15,7 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 
 from benchmarks.real import common, peer
-from svmdist.estimation.hand_eye import rigid_fit
+from svmdist.estimation.alignment import rigid_fit
 from svmdist.kinematics import chain_of, forward_kinematics
 from svmdist.profile import load_profile
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation, rotation_of, rotation_vector

@@ -24,7 +24,7 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, Status
 from svmdist.transforms import Array, cross, inverse, skew
-from svmdist.vision.lines import apparent_radius_px, axis_of_cylinder
+from svmdist.vision.lines import apparent_radius_px
 
 MUCH_SURER = 2.0  # than what is seen, the profile's surface is: breath and dents are seen only
 BOUND_AT_M = 0.1  # from an endoscope to a tool at work
@@ -263,11 +263,8 @@ def _at_depth(depth_m: float, std_m: float, ray: Array) -> ToolPose:
 def _by_width(frame: Frame) -> ToolPose | None:
     """The tool where the shaft's axis passes before or behind the marker, by both sides; None without them."""
     view, instrument, marker = frame.left, frame.arm.profile.instrument, frame.left.distal_marker
-    if instrument is None or marker is None or len(view.shaft.contours) < 2:
-        return None
-    planes = view.shaft.contours
-    axis = axis_of_cylinder(planes, instrument.shaft_radius_m)
-    if axis is None:
+    axis, planes = view.shaft.axis, view.shaft.contours
+    if instrument is None or marker is None or axis is None:
         return None
     ray = view.camera.rays(marker.centre_px)[0]
     depth_m = axis.depth_m(ray)

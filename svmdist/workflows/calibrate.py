@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, KinematicsError, RecordingError
 from svmdist.estimation import plane_mapping
-from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
+from svmdist.estimation.alignment import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.kinematics import forward_kinematics, select_joints, shaft_of
 from svmdist.kinematics.robot_state import RobotState

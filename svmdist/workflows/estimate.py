@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.estimation.lag import estimate_lag
+from svmdist.estimation.alignment import estimate_lag
 from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.recording.log import Recording
 from svmdist.results import Z_95, AlarmEvent, FrameResult

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
+from svmdist.estimation.alignment import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.profile.settings import HandEyeSettings
 from svmdist.transforms import make_transform, rotation_of, rotation_vector, transform_points
 
@@ -73,8 +73,8 @@ def test_outliers_are_left_out():
 def test_errors_are_within_the_stated_ellipsoid(shared, monkeypatch):
     """Over 100 draws, noise and errors that all frames share leave 90 % or more in the 95 % ellipsoid."""
     rng = np.random.default_rng(4)
-    monkeypatch.setattr("svmdist.estimation.hand_eye.POSITION_FLOOR_M", 1e-9)
-    monkeypatch.setattr("svmdist.estimation.hand_eye.TRIALS", 20)
+    monkeypatch.setattr("svmdist.estimation.alignment.POSITION_FLOOR_M", 1e-9)
+    monkeypatch.setattr("svmdist.estimation.alignment.TRIALS", 20)
     distances = []
     for _ in range(100):
         fit = _fitted(_places(rng, 40, 5e-4, shared))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from svmdist.estimation.lag import estimate_lag
+from svmdist.estimation.alignment import estimate_lag
 
 PERIOD_NS = 100_000_000
 STAMPS_NS = np.arange(80, dtype=np.int64) * PERIOD_NS

@@ -11,7 +11,7 @@ from svmdist.estimation.instrument.measurement import MARKER, PointError
 from svmdist.estimation.instrument.shaft import FARTHEST_M, STD_PER_DOUBT
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, transform_points
-from svmdist.vision.lines import axis_of_cylinder, without_perspective
+from svmdist.vision.lines import without_perspective
 from svmdist.vision.stereo import RectifiedPair, matched_place
 
 WRIST = "wrist"
@@ -118,11 +118,8 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
 
 def _by_wrist(view: View, arm: Arm) -> SeenMarker | None:
     """The tool's origin in the outline of its wrist; None without both sides of the shaft, and its end."""
-    shaft, straight, camera = view.shaft, arm.straight, view.camera
-    if shaft.wrist is None or shaft.rim is None or view.rim_ahead is None or straight is None:
-        return None
-    axis = axis_of_cylinder(shaft.contours, straight.radius_m) if len(shaft.contours) == 2 else None
-    if axis is None:
+    shaft, axis, straight, camera = view.shaft, view.shaft.axis, arm.straight, view.camera
+    if shaft.wrist is None or shaft.rim is None or view.rim_ahead is None or axis is None or straight is None:
         return None
     ray = camera.rays(shaft.rim.pixel)[0]
     depth_m = axis.depth_m(ray)

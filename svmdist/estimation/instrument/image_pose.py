@@ -22,7 +22,7 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, cross, inverse, make_transform, rotation_of
-from svmdist.vision.lines import apparent_radius_px, axis_of_cylinder
+from svmdist.vision.lines import CylinderAxis, apparent_radius_px
 from svmdist.vision.stereo import RectifiedPair
 
 OPEN_M = 0.3  # standard deviation of the base's place: a scene is no larger
@@ -69,7 +69,7 @@ def _first_places(views: Sequence[View], tool_m: Array | None, model: ShaftModel
     for view in views:
         T_left_view, marker = inverse(view.T_view_left), view.distal_marker
         R = None if R_nominal is None else T_left_view[:3, :3].T @ R_nominal
-        firsts = list(_starts_from_sides(view, model, R)) if len(view.shaft.contours) == 2 else []
+        firsts = [] if (axis := view.shaft.axis) is None else list(_starts_from_sides(view, axis, model, R))
         if R is None:
             firsts.append(Failure("no long enough part of a shaft is visible with both sides"))
         elif marker is None or marker.radius_px is None:
@@ -90,13 +90,11 @@ def _first_places(views: Sequence[View], tool_m: Array | None, model: ShaftModel
         yield make_transform(R_nominal, tool_m - R_nominal @ tool_in_shaft_m)
 
 
-def _starts_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) -> Iterator[Array | Failure]:
+def _starts_from_sides(
+    view: View, axis: CylinderAxis, model: ShaftModel, R_nominal: Array | None
+) -> Iterator[Array | Failure]:
     """By the closed form, with the shaft's end where it is seen, and where the marker has it; or why none."""
-    axis, shaft = axis_of_cylinder(view.shaft.contours, model.radius_m), view.shaft
-    if axis is None:
-        yield Failure("the shaft's sides are too close together")
-        return
-    d = axis.direction
+    shaft, d = view.shaft, axis.direction
     if shaft.towards_tip is not None and shaft.middle_px is not None:
         x, y, _ = view.camera.rays(shaft.middle_px)[0]
         ahead = float(np.array([d[0] - x * d[2], d[1] - y * d[2]]) @ shaft.towards_tip)

@@ -23,7 +23,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array, cross, inverse, make_transform
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.instruments.outline_search import LEAST_LENGTH, LONGEST_WRIST
-from svmdist.vision.lines import TangentPlane, axis_of_cylinder, fit_line, line_between
+from svmdist.vision.lines import CylinderAxis, TangentPlane, axis_of_cylinder, fit_line, line_between
 from svmdist.vision.regions import Disc, Region, fit_disc
 from svmdist.vision.silhouette import Rim, Silhouette, WristPoint, WristShape
 
@@ -92,6 +92,7 @@ class ShaftDetection:
     """Contours (none, one or two), the planes that touch the shaft there, and the rim, each as far as it is visible."""
 
     contours: tuple[TangentPlane, ...] = ()
+    axis: CylinderAxis | None = None  # by both sides, where they are visible
     rim: Rim | None = None
     towards_tip: Array | None = None  # direction of the shaft's middle line in the image, (2,); None if unknown
     middle_px: Array | None = None
@@ -127,7 +128,7 @@ def detect_silhouette(
             outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
             side = 1 if towards_tip[0] * outward[1] - towards_tip[1] * outward[0] > 0 else -1
             found.setdefault(side, replace(plane, covariance=plane.covariance + wider.covariance, side=side))
-    contours = tuple(found.values())
+    contours, axis = tuple(found.values()), None
     if len(contours) == 2:
         axis = axis_of_cylinder(contours, radius_m)
         place_px = middle_px if silhouette.rim is None else silhouette.rim.pixel
@@ -135,7 +136,7 @@ def detect_silhouette(
             return NO_SHAFT
     known = towards_tip if silhouette.knows_tip else None
     stds = silhouette.width_std, silhouette.wrist_std
-    return ShaftDetection(contours, silhouette.rim, known, middle_px, silhouette.wrist, *stds)
+    return ShaftDetection(contours, axis, silhouette.rim, known, middle_px, silhouette.wrist, *stds)
 
 
 @dataclass(frozen=True, slots=True)
