@@ -109,8 +109,9 @@ def test_what_is_coloured_and_of_another_size_is_somewhere_about_the_origin(size
     T = make_transform(np.eye(3), tool_m(2.4))
     for name, px_per_m in (("distal marker", 6000.0), ("disparity", 300.0)):
         one = factors[name]
-        assert one.error.name == ("distal marker" if is_marker else "other part")
-        B = one.linearise(T).biases[0].jacobian
+        bias = one.linearise(T).biases[0]
+        assert bias.name == ("distal marker" if is_marker else "other part")
+        B = bias.jacobian
         std_px = float(np.sqrt((one.covariance + B @ B.T)[0, 0]))
         assert (std_px > px_per_m * radius_m * 2.0) is not is_marker, (name, std_px)
     placed = triangulated_tool(frame, ANY_ORIENTATION)
