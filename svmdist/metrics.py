@@ -266,10 +266,13 @@ def alarm_statistics(
     if len(set(shapes)) > 1 or t.ndim != 1:
         raise ValueError(f"expected arrays of the same shape (n,), found {', '.join(map(str, shapes))}")
     unsafe = c < below_m
-    events = np.flatnonzero(unsafe[1:] & ~unsafe[:-1]) + 1
-    leads = [_lead_time_s(t, a, unsafe, event) for event in events.tolist()]
-    begins = a & ~np.concatenate([[False], a[:-1]])
-    episode = np.cumsum(begins)
+    events = [(begin, end) for begin, end in runs(unsafe) if begin > 0]
+    leads_s = []
+    raised_before = {end: begin for begin, end in runs(a & ~unsafe)}  # over the safe frames that end there
+    for begin, end in events:
+        if a[begin:end].any():
+            first = begin + int(np.argmax(a[begin:end]))
+            leads_s.append(float(t[begin] - t[raised_before.get(first, first)]))
     return AlarmStatistics(
         frame_count=len(t),
         unsafe_count=int(np.count_nonzero(unsafe)),
@@ -277,10 +280,10 @@ def alarm_statistics(
         false_alarm_count=int(np.count_nonzero(a & ~unsafe)),
         unjudged_count=int(np.count_nonzero(~known)),
         unsafe_unjudged_count=int(np.count_nonzero(unsafe & ~known)),
-        false_alarm_episode_count=int(np.count_nonzero(begins)) - len(np.unique(episode[a & unsafe])),
+        false_alarm_episode_count=sum(not unsafe[begin:end].any() for begin, end in runs(a)),
         duration_s=float(t[-1] - t[0]) if len(t) else 0.0,
         event_count=len(events),
-        lead_times_s=tuple(lead for lead in leads if lead is not None),
+        lead_times_s=tuple(leads_s),
     )
 
 
@@ -290,17 +293,11 @@ def pooled_alarms(parts: Sequence[AlarmStatistics]) -> AlarmStatistics:
     return AlarmStatistics(*(reduce(add, column) for column in zip(*map(astuple, (none, *parts)), strict=True)))
 
 
+def runs(chosen: Mask) -> list[tuple[int, int]]:
+    """First index, and index after the last one, of each run of true values, shape (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def _share(count: float, of: float) -> float | None:
     return count / of if of else None
-
-
-def _lead_time_s(t: Array, alarms: Mask, unsafe: Mask, event: int) -> float | None:
-    """How long before an event its alarm began; None where none came while it lasted."""
-    if alarms[event]:
-        first = event
-        while first > 0 and alarms[first - 1] and not unsafe[first - 1]:
-            first -= 1
-        return float(t[event] - t[first])
-    end = event + int(np.argmin(np.append(unsafe[event:], False)))
-    late = event + np.flatnonzero(alarms[event:end])
-    return float(t[event] - t[late[0]]) if len(late) else None

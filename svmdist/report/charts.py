@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.drawing import ALARM_COLOUR, Rgb
-from svmdist.metrics import interval_coverage
+from svmdist.metrics import interval_coverage, runs
 from svmdist.report.tables import counted
 from svmdist.results import AlarmEvent
 from svmdist.transforms import Array
@@ -228,12 +227,6 @@ def calibration(group: Sequence[Series]) -> Chart:
 def frame_reach_s(seconds: Array, share: float) -> float:
     """How far one frame's mark reaches to either side: a share of the way to the next one."""
     return share * float(np.nanmedian(np.diff(seconds))) if len(seconds) > 1 else 0.05
-
-
-def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First index, and index after the last one, of each run of true values, shape (n,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def pooled(series: Sequence[Series]) -> tuple[Array, Array, Array]:

@@ -19,10 +19,10 @@ from jinja2 import Environment
 from plotly.offline import get_plotlyjs
 
 from svmdist.errors import printable
-from svmdist.metrics import COUNT, LENGTH, SECONDS, SHARE, TEXT, Column, Unit, row_of
+from svmdist.metrics import COUNT, LENGTH, SECONDS, SHARE, TEXT, Column, Unit, row_of, runs
 from svmdist.recording.log import Recording
 from svmdist.report import charts
-from svmdist.report.charts import Chart, Curve, Role, frame_reach_s, runs
+from svmdist.report.charts import Chart, Curve, Role, frame_reach_s
 from svmdist.report.on_image import draw_on
 from svmdist.report.scores import remarks, validation_tables
 from svmdist.report.tables import Table, counted
