@@ -126,9 +126,10 @@ class Run(Generic[Result]):
         """How the frames of each log ended, by the `statuses` of its result."""
         figures = []
         for log, one in self.outcomes:
-            statuses = getattr(one.result, "statuses", {})
-            group = group_name(one.metadata, self.keys) if one.failure is None else ""
-            figures.append(LogFigures(log.name, str(log.path), one.failure, statuses, len(one.losses), group))
+            statuses, failed = Counter(getattr(one.result, "statuses", {})), one.failure is not None
+            group = group_name(one.metadata, self.keys) if self.keys and not failed else None
+            counts = statuses, len(one.losses)
+            figures.append(LogFigures(log.name, str(log.path), group, *counts, one.failure, failed))
         return figures
 
     def ranking(self) -> Results:
@@ -139,7 +140,7 @@ class Run(Generic[Result]):
         """What the job kept of one log; of many, those with which most went wrong are measured again for it."""
         if self.given.is_one or not self.keeps:
             return self._kept
-        usable = [one for one in ranked(self._figures) if one.failure is None and one.frame_count]
+        usable = [one for one in ranked(self._figures) if one.statuses]
         names = {one.recording for one in usable[:MAX_REPORTED]}
         if len(usable) > MAX_REPORTED:
             LOG.info("note: the report and the plot show %d of %d logs frame by frame", MAX_REPORTED, len(usable))

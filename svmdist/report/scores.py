@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
-from operator import itemgetter
 from typing import Any
 
 from svmdist.errors import printable
@@ -235,83 +234,67 @@ def blur_results(parts: Sequence[Sequence[BlurTally]]) -> Results:
 
 @dataclass(frozen=True)
 class LogFigures:
-    """One log, or several together. `statuses` counts frames by how they ended; `failure` says why there are none."""
+    """One log, or several together: how its frames ended. `problem` says why there are none, or of how many logs."""
 
     recording: str
-    path: str = ""
-    failure: str | None = None
-    statuses: Mapping[str, int] = field(default_factory=dict)
-    loss_count: int = 0
-    group: str = ""
-    log_count: int = 1
-    failed_count: int = 0
-
-    @property
-    def frame_count(self) -> int:
-        """Number of frames."""
-        return sum(self.statuses.values())
-
-    @property
-    def measured_count(self) -> int:
-        """Number of frames that were measured."""
-        return self.statuses.get("ok", 0)
+    path: str | None
+    group: str | None
+    statuses: Counter[str]
+    loss_count: int
+    problem: str | None = None
+    has_failed: bool = False
 
     @property
     def coverage(self) -> float | None:
         """Measured frames per frame; None without any."""
-        return self.measured_count / self.frame_count if self.frame_count else None
+        return self.statuses["ok"] / self.statuses.total() if self.statuses else None
 
     @property
     def state(self) -> str:
         """The gravest of failed, nothing measured, loss and ok."""
-        if self.failure is not None:
+        if self.has_failed:
             return "failed"
-        if self.measured_count == 0:
+        if not self.statuses["ok"]:
             return "nothing measured"
-        return "loss" if self.loss_count or self.failed_count else "ok"
+        return "loss" if self.loss_count or self.problem else "ok"
 
     @property
     def worst(self) -> tuple[str | None, int | None]:
         """How most of the frames ended that were not measured, and how many did."""
-        lost = [(status, count) for status, count in self.statuses.items() if status != "ok"]
-        return max(lost, key=itemgetter(1), default=(None, None))
+        return next((one for one in self.statuses.most_common() if one[0] != "ok"), (None, None))
 
 
-# fmt: off
 LOG_COLUMNS = (
     Column("rank", COUNT, "rank", lambda _: None),
     Column("recording", TEXT, "recording"),
     Column("state", TEXT, "state"),
-    Column("frame_count", COUNT, "frames"),
-    Column("measured_count", COUNT, "measured"),
+    Column("frame_count", COUNT, "frames", lambda log: log.statuses.total()),
+    Column("measured_count", COUNT, "measured", lambda log: log.statuses["ok"]),
     Column("coverage", SHARE, "coverage [%]"),
     Column("worst", TEXT, "most often", "worst.0"),
     Column("worst_count", COUNT, "frames so", "worst.1"),
     Column("loss_count", COUNT, "losses"),
-    Column("reason", TEXT, "reason",
-           lambda log: f"{log.failed_count} of {log.log_count} logs failed" if log.failed_count else log.failure),
-    Column("group", TEXT, "group", lambda log: log.group or None),
-    Column("path", TEXT, of=lambda log: log.path or None),
+    Column("reason", TEXT, "reason", "problem"),
+    Column("group", TEXT, "group"),
+    Column("path", TEXT),
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
-# fmt: on
 
 
 def ranked(figures: Sequence[LogFigures]) -> list[LogFigures]:
     """Sorted by severity: failed logs, then by the share of frames that were not measured, then by losses."""
-    return sorted(figures, key=lambda one: (one.failure is None, one.coverage or 0.0, -one.loss_count))
+    return sorted(figures, key=lambda one: (not one.has_failed, one.coverage or 0.0, -one.loss_count))
 
 
 def log_results(figures: Sequence[LogFigures]) -> Results:
     """A row per log, worst first, then groups by their names and all logs: every frame counts the same."""
     rows = [row_of(LOG_COLUMNS, one) | {"rank": rank} for rank, one in enumerate(ranked(figures), 1)]
     groups = sorted({one.group for one in figures if one.group})
-    for group in (*groups, ""):
-        members = [one for one in figures if not group or one.group == group]
-        statuses = sum((Counter(one.statuses) for one in members), Counter[str]())
-        counts = len(members), sum(one.failure is not None for one in members)
-        losses = sum(one.loss_count for one in members)
-        together = LogFigures(group or "overall", "", None, dict(statuses), losses, group, *counts)
-        rows.append(row_of(LOG_COLUMNS, together))
+    for group in (*groups, None):
+        members = [one for one in figures if group in (None, one.group)]
+        statuses = sum((one.statuses for one in members), Counter[str]())
+        losses, failed = (sum(getattr(one, name) for one in members) for name in ("loss_count", "has_failed"))
+        problem = f"{failed} of {len(members)} logs failed" if failed else None
+        rows.append(row_of(LOG_COLUMNS, LogFigures(group or "overall", None, group, statuses, losses, problem)))
     columns = [column for column in LOG_COLUMNS if column.heading and (groups or column.key != "group")]
     return Results(LOG_COLUMNS, rows, tables=[Table.of("Logs, sorted by severity, worst first", columns, rows)])
