@@ -162,18 +162,14 @@ def page(report: Report) -> str:
     # Texts of a log or a user come without control characters.
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.finalize = lambda value: printable(value) if type(value) is str else value
+    environment.policies["json.dumps_kwargs"] = {}  # names stay in their order
     environment.filters |= {"base64": lambda data: base64.b64encode(data).decode("ascii"), "zip": zip}
     template = environment.from_string(files("svmdist.report").joinpath("page.html.j2").read_text("utf-8"))
     sections = _sections(report)
-    data = ",".join(
-        f'"{name}":{{"overTime":{str(chart.over_time).lower()},"figure":{plotly_figure(chart).to_json()}}}'
-        for _, named in sections
-        for name, chart in named
-    )
-    # No text of a log can end the element that the data stand in.
-    data = data.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    every = [one for _, named in sections for one in named]
+    figures = {name: {"overTime": one.over_time, "figure": plotly_figure(one).to_dict()} for name, one in every}
     plotly = get_plotlyjs().replace("</script", "<\\/script")
-    return template.render(report=report, sections=sections, data=f"{{{data}}}", plotly=plotly)
+    return template.render(report=report, sections=sections, figures=figures, plotly=plotly)
 
 
 def _sections(report: Report) -> list[tuple[str, list[tuple[str, Chart]]]]:
@@ -209,12 +205,8 @@ def plotly_figure(chart: Chart) -> go.Figure:
         traces += [named | {"x": np.float32(x), "y": np.float32(y)} | look for x, y, look in _traces(curve, dots)]
     layout: dict[str, Any] = {
         "template": None,
-        "margin": {"l": 60, "r": 15, "t": 30, "b": 45},  # the tool bar is above, the legend below
         "xaxis": {"title": {"text": chart.x_title}},
         "yaxis": {"title": {"text": chart.y_title}, "autorange": "reversed" if chart.is_image else None},
-        "legend": {"orientation": "h", "x": 0, "y": 0, "yanchor": "bottom", "yref": "container"},
-        "hovermode": "closest",
-        "bargap": 0.02,
     }
     if any(curve.form == "spans" for curve in chart.curves):
         layout["yaxis2"] = {"overlaying": "y", "range": [0, 1], "fixedrange": True, "visible": False}
