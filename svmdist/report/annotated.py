@@ -1,19 +1,23 @@
-"""A log with what a method found drawn on its images: a copy of the recording for viewers, and a video."""
+"""A log with what a method found drawn on its images: a copy for viewers, one for Rerun, and a video."""
 
 from __future__ import annotations
 
 import heapq
+import shutil
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import cv2
 import numpy as np
 
-from svmdist.drawing import FrameDrawing
+from svmdist.drawing import ALARM_COLOUR, COLOURS, Form, FrameDrawing, Part
 from svmdist.errors import OutputError
 from svmdist.files import atomic_file
+from svmdist.geometry import Mesh
 from svmdist.recording import writer
 from svmdist.recording.log import Recording
 from svmdist.recording.summary import copied_messages
@@ -28,6 +32,11 @@ from svmdist.workflows.frame_drawing import DrawnFrame
 from svmdist.workflows.request import Setup
 
 SCENE_TOPIC, TF_TOPIC, LOG_TOPIC, SURFACE_TOPIC = (f"/svmdist/{name}" for name in ("scene", "tf", "log", "surface"))
+PLOTTED = ("planar", "spatial", "clearance", "clearance_low", "clearance_high", "to_instrument")
+"""The distances over time, by their fields in `svmdist.DistanceEstimate` without the unit; shown in mm."""
+IMAGE, DRAWN, SCENE = "camera/image", "camera/image/drawn", "camera/scene"
+LINE_PX, POINT_PX, CLOUD_M, LINE_M, AXIS_M, JPEG_QUALITY = 1.0, 3.0, 3e-4, 2e-4, 0.01, 90
+"""How drawings look in Rerun, which draws no annotations of Foxglove's."""
 TIME_BASE = Fraction(1, 1000)  # frames are shown at their stamps: a log has no constant rate
 CODECS = {"libx264": {"crf": "20", "preset": "veryfast"}, "mpeg4": {}}
 """The first that this build of FFmpeg has, with its options. H.264 plays everywhere; MPEG-4 is in every build."""
@@ -83,6 +92,105 @@ def tool_poses(results: Iterable[FrameResult]) -> list[tuple[str, Array]]:
 def warnings(drawing: FrameDrawing) -> list[str]:
     """The lines of rejections and alarms."""
     return [line.text for line in drawing.lines if line.warns]
+
+
+def write_rrd(frames: Iterable[DrawnFrame], path: Path, recording: Recording, setup: Setup, *_: object) -> None:
+    """Write images, drawings on them and in space, and distances over time for Rerun; raises OutputError."""
+    import rerun as rr
+
+    stream = rr.RecordingStream("svmdist", recording_id=f"{recording.name}-{setup.method}")
+    camera = recording.logged_camera
+    with atomic_file(path) as file, TemporaryDirectory() as folder:  # the library writes to a path of its own
+        made = Path(folder) / "made.rrd"
+        stream.save(made, _layout())
+        stream.log("camera", rr.ViewCoordinates.RDF, static=True)
+        size_px = [camera.width_px, camera.height_px]
+        stream.log(IMAGE, rr.Pinhole(image_from_camera=camera.K, resolution=size_px), static=True)
+        for frame in frames:
+            stream.set_time("frame", sequence=frame.number)
+            stream.set_time("time", timestamp=np.datetime64(frame.drawing.stamp_ns, "ns"))
+            _log_frame(stream, frame, setup)
+        stream.disconnect()
+        with made.open("rb") as written:
+            shutil.copyfileobj(written, file)
+
+
+def _layout() -> Any:
+    import rerun.blueprint as views
+
+    image, scene = views.Spatial2DView(origin=IMAGE, name="image"), views.Spatial3DView(origin="camera", name="scene")
+    distances = views.TimeSeriesView(origin="distances", name="distances [mm]")
+    alarms, log = views.TimeSeriesView(origin="alarms", name="alarm"), views.TextLogView(origin="log", name="log")
+    numbers = views.Vertical(distances, alarms, log, row_shares=[3, 1, 2])
+    return views.Blueprint(views.Horizontal(views.Vertical(image, scene), numbers), collapse_panels=True)
+
+
+def _log_frame(stream: Any, frame: DrawnFrame, setup: Setup) -> None:
+    import rerun as rr
+    from rerun import escape_entity_path_part as escaped
+
+    drawing, image = frame.drawing, frame.replayed.image_bgr
+    for place in (DRAWN, SCENE):  # nothing stays from the frame before
+        stream.log(place, rr.Clear(recursive=True))
+    if image is not None:
+        jpeg = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
+        stream.log(IMAGE, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+    for place, found in ((DRAWN, _on_image(drawing)), (SCENE, _in_space(drawing))):
+        for name, what in found.items():
+            stream.log(f"{place}/{escaped(name)}", what)
+    for name, T_camera_tool in tool_poses(frame.replayed.results):
+        turn = rr.Transform3D(translation=T_camera_tool[:3, 3], mat3x3=T_camera_tool[:3, :3])
+        stream.log(f"{SCENE}/{escaped(name)}", turn, rr.TransformAxes3D(AXIS_M))
+    for result in frame.replayed.results:
+        fields: Any = estimate_fields(result, setup.method)
+        name = escaped(result.instrument)
+        for key in PLOTTED:
+            if (distance_m := fields.get(f"{key}_m")) is not None:
+                stream.log(f"distances/{name}/{key}", rr.Scalars(1e3 * distance_m))
+        if (alarm := fields.get("alarm")) is not None:
+            stream.log(f"alarms/{name}", rr.Scalars(float(alarm)))
+    for text in warnings(drawing):
+        stream.log("log", rr.TextLog(text, level="WARN", color=ALARM_COLOUR))
+
+
+def _on_image(drawing: FrameDrawing) -> dict[str, Any]:
+    import rerun as rr
+
+    found: dict[str, Any] = {}
+    for part in Part:
+        shapes = [one for one in drawing.shapes if one.part is part]
+        points = [one.points_px for one in shapes if one.form is Form.POINTS]
+        lines = [one for one in shapes if one.form is not Form.POINTS]
+        if lines:
+            strips = [np.vstack([one.points_px, one.points_px[: one.form is Form.LOOP]]) for one in lines]
+            found[str(part)] = rr.LineStrips2D(strips, colors=COLOURS[part], radii=LINE_PX)
+        if points:
+            found[f"{part} points"] = rr.Points2D(np.concatenate(points), colors=COLOURS[part], radii=POINT_PX)
+    if drawing.labels:
+        places, texts = zip(*((one.place_px, one.text) for one in drawing.labels), strict=True)
+        colours = [COLOURS[one.part] for one in drawing.labels]
+        found["labels"] = rr.Points2D(places, labels=texts, colors=colours, radii=0.0, show_labels=True)
+    return found
+
+
+def _in_space(drawing: FrameDrawing) -> dict[str, Any]:
+    import rerun as rr
+
+    found: dict[str, Any] = {}
+    for name, body in drawing.bodies.items():
+        capsules: Any = np.stack([body.start_m, body.end_m], 1)
+        colours = [COLOURS[Part.WRIST if at else Part.SHAFT] for at in range(len(body))]
+        found[f"{name} instrument"] = rr.LineStrips3D(capsules, radii=body.radius_m, colors=colours)
+    if isinstance(drawing.tissue, Mesh):
+        vertices_m, faces = drawing.tissue.vertices_m, drawing.tissue.faces
+        colour = COLOURS[Part.TISSUE]
+        found["tissue"] = rr.Mesh3D(vertex_positions=vertices_m, triangle_indices=faces, albedo_factor=colour)
+    if drawing.cloud_m is not None:
+        found["surface"] = rr.Points3D(drawing.cloud_m, colors=COLOURS[Part.TISSUE], radii=CLOUD_M)
+    for one in drawing.segments:
+        ends_m = [np.stack([one.start_m, one.end_m])]
+        found[one.name] = rr.LineStrips3D(ends_m, labels=one.text, colors=COLOURS[one.part], radii=LINE_M)
+    return found
 
 
 def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, *_: object) -> None:

@@ -81,7 +81,7 @@ WRITERS = (
            needs=("Parquet", "parquet", "pyarrow")),
     Writer("mcap", (".mcap",), Holds.FRAMES, "annotated:write_annotated", is_text=False),
     Writer("mp4", (".mp4",), Holds.FRAMES, "annotated:write_video", is_text=False, needs=("a video", "video", "av")),
-    Writer("rrd", (".rrd",), Holds.FRAMES, "rerun_log:write_rrd", is_text=False, needs=(".rrd", "rerun", "rerun")),
+    Writer("rrd", (".rrd",), Holds.FRAMES, "annotated:write_rrd", is_text=False, needs=(".rrd", "rerun", "rerun")),
     Writer("html", (".html", ".htm"), Holds.REPORT, is_text=False, needs=("a report", "report", "plotly", "jinja2")),
     *(Writer(name, (f".{name}",), Holds.CLOUD, f"rows:write_{name}", is_text=False) for name in ("ply", "npz")),
     *(Writer(name, (f".{name}",), Holds.PLOT, is_text=False) for name in ("png", "svg", "pdf")),

@@ -23,7 +23,7 @@ from svmdist.camera import Camera
 from svmdist.drawing import Part
 from svmdist.recording.log import TRUE_SUFFIX, Recording, open_recording
 from svmdist.recording.own_messages_pb2 import DistanceEstimate
-from svmdist.report.annotated import write_annotated, write_video
+from svmdist.report.annotated import write_annotated, write_rrd, write_video
 from svmdist.report.on_image import draw_on
 from svmdist.results import FrameResult
 from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
@@ -211,8 +211,6 @@ def contents(path: Path) -> tuple[dict[str, set[str]], Counter[str]]:
 def test_a_log_for_rerun_holds_all_that_is_drawn(annotated, tmp_path):
     """With every frame, and Rerun's own verification; in space, what Foxglove's scene has."""
     pytest.importorskip("rerun", reason="rerun-sdk has no wheel for this platform")
-    from svmdist.report.rerun_log import write_rrd
-
     copy, frames, setup = annotated
     write_rrd(iter(frames[:5]), tmp_path / "duo.rrd", copy, setup)
     rerun(tmp_path, "rrd", "verify", tmp_path / "duo.rrd")
