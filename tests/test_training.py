@@ -10,22 +10,20 @@ import pytest
 from benchmarks.masks import OUTLINES, PANEL_SIZE, filled, iou, panels
 from tests.conftest import REPOSITORY
 from training import pictures, train
-from training.instruments import DISTAL, INSTRUMENT, NO_INSTRUMENT, OTHER, SHAFT, TISSUE, UNKNOWN, Part, draw
+from training.instruments import DISTAL, INSTRUMENT, NO_INSTRUMENT, OTHER, SHAFT, TISSUE, UNKNOWN
+from training.parts import Part, draw
 from training.pictures import augmented, near_keypoints
 from training.scene import HEIGHT, WIDTH, layers, render, rendered
 
 SIZE = (150, 200)
-
-
-def white(across, _along):
-    return np.full((len(across), 3), 255.0, np.float32)
+WHITE = np.full((2, 2, 3), 255.0, np.float32)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.1, 2.5])
 def test_a_part_is_labelled_where_it_covers_half_of_a_pixel(angle):
     """Against its outline's geometry: centres inside are labelled, and none farther out than rounding allows."""
     middle, along = np.array([100.3, 74.8]), np.array([np.cos(angle), np.sin(angle)])
-    part = Part(middle - 50 * along, middle + 40 * along, 12.0, 8.0, SHAFT, white)
+    part = Part(middle - 50 * along, middle + 40 * along, 12.0, 8.0, SHAFT, WHITE)
     canvas, labels = np.zeros((*SIZE, 3), np.float32), np.full(SIZE, TISSUE, np.uint8)
     draw(canvas, labels, [part])
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]
@@ -92,7 +90,7 @@ def test_outlines_become_labels_of_real_pictures(tmp_path, monkeypatch):
         shown = np.full((300, 400, 3), (60, 60, 180), np.uint8)
         cv2.imwrite(str(tmp_path / "set" / name), cv2.rectangle(shown, (40, 120), (360, 180), (40, 40, 40), -1))
     real = pictures.outlined([tmp_path / "set"])
-    (first, second), (labels, others) = real
+    (first, labels), (second, others) = real
     assert first[labels == INSTRUMENT].max() < 60
     assert first[labels == TISSUE][:, 2].min() > 150
     assert (labels == INSTRUMENT).mean() == pytest.approx(0.16, abs=0.03)
@@ -118,10 +116,10 @@ def test_grey_pictures_with_masks_get_the_colours_of_tissue(tmp_path):
             path.parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(path), image)
     grey = pictures.masked([tmp_path])
-    images, labels = grey
-    assert images.shape == (1, HEIGHT, WIDTH, 3)
+    ((image, labels),) = grey
+    assert image.shape == (HEIGHT, WIDTH, 3)
     assert (labels == INSTRUMENT).mean() == pytest.approx(100 / 470, abs=0.02)
-    assert pictures.masked([tmp_path / "none"]) is None
+    assert pictures.masked([tmp_path / "none"]) == []
     shown, rng, warm = pictures.Shown(rendered(0, 3), grey, grey), np.random.default_rng(0), []
     for _ in range(60):
         image, label, _, _ = shown.sample(rng, (192, 256))

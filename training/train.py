@@ -23,12 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("model", type=Path, help="the ONNX file to write; beside it .pt, which --start takes")
     add("--pictures", type=Path, nargs="*", default=[], help="repositories that are checked out")
     add("--teacher", type=Path, help="an ONNX network of before: what it says of real pictures is learnt, too")
-    add(
-        "--start",
-        type=Path,
-        nargs="+",
-        help="weights to go on from, .pt, or their mean; without it ImageNet's",
-    )
+    add("--start", type=Path, nargs="+", help="weights to go on from, .pt, or their mean; without it ImageNet's")
     add("--steps", type=int, default=2200, help="of each process; 2200 take 140 minutes on two cores")
     add("--rate", type=float, default=1.0, help="share of the usual learning rates, to go on with")
     add("--drawn", type=int, default=4000, help="how many pictures are rendered to train on")
@@ -38,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         from torch import multiprocessing
 
-        from training.network import train_together
+        from training.network import train
         from training.pictures import Shown, masked, outlined
 
         if given.start is None:
@@ -50,11 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{missing.name} is not installed: pip install {packages}", file=sys.stderr)
         return 1
     cv2.setNumThreads(1)
-    pictures = rendered(1_000_000 * given.seed, given.drawn, given.processes)
-    shown = Shown(pictures, outlined(given.pictures), masked(given.pictures))
+    drawn = rendered(1_000_000 * given.seed, given.drawn, given.processes)
+    shown = Shown(drawn, outlined(given.pictures), masked(given.pictures))
     with TemporaryDirectory() as folder:
-        all_given = given, shown, Path(folder)
-        multiprocessing.start_processes(train_together, all_given, given.processes, start_method="fork")
+        multiprocessing.start_processes(train, (given, shown, folder), given.processes, start_method="fork")
     print(f"{given.model}: {given.model.stat().st_size / 1e6:.2f} MB")
     return 0
 
