@@ -69,8 +69,8 @@ def _labelled(image: Array, masks: Array, around: int) -> Outlined:
     image = np.asarray(cv2.resize(image[in_view], (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA), np.uint8)
     own, doubtful = (cv2.resize(one[in_view], (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST) for one in masks)
     is_open = (cv2.morphologyEx(own, cv2.MORPH_GRADIENT, BAND) > 0) | (doubtful > own)
-    labels = np.where(own > 0, INSTRUMENT, np.where(picture_of(image) > 0, around, OTHER))
-    return image, np.where(is_open, UNKNOWN, labels).astype(np.uint8)
+    labels = np.where((picture_of(image) > 0) | (around == NO_INSTRUMENT), around, OTHER)  # dark tissue is no border
+    return image, np.where(is_open, UNKNOWN, np.where(own > 0, INSTRUMENT, labels)).astype(np.uint8)
 
 
 @dataclass(frozen=True)
