@@ -248,6 +248,12 @@ class Needs:
     robot: bool = True  # whether it uses joints or transforms
     right_view: bool = False  # whether it uses the right image
 
+    def left_alone(self) -> Needs:
+        """What the left view has of it."""
+        scene = tuple(name for name in self.scene if name not in OF_BOTH_VIEWS and not name.startswith("right."))
+        frame = tuple(name for name in self.frame if not name.startswith("right."))
+        return Needs(scene, frame, self.robot)
+
     def __or__(self, other: Needs) -> Needs:
         return Needs(
             tuple(dict.fromkeys(self.scene + other.scene)),

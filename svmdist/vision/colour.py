@@ -46,12 +46,12 @@ class Masks:
 
         What may be border has the other shafts in it: they cut the view no less than its own.
         """
-        count, shaft, black, seen = cv2.countNonZero, self.shaft, self.black, self.seen
+        count, shaft, black, seen, rest = cv2.countNonZero, self.shaft, self.black, self.seen, ~others
         if seen is not None:
-            seen = tuple(one for one in seen if 2 * count(one.mask & ~others) > count(one.mask))
-        own_shaft = None if shaft is None else shaft & ~others
+            seen = tuple(one for one in seen if 2 * count(one.mask & rest) > count(one.mask))
+        own_shaft = None if shaft is None else shaft & rest
         black = shaft if shaft is None or black is None else shaft | black
-        return Masks(self.tissue, self.instrument & ~others, own_shaft, black, self.picture, seen)
+        return Masks(self.tissue, self.instrument & rest, own_shaft, black, self.picture, seen)
 
 
 def masks_by_colours(rules: HsvSegmentation, image_hsv: Image) -> Masks:

@@ -157,14 +157,17 @@ def _through_lens(shape: Shape, lens: Camera) -> Shape:
 
 def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterator[Shape]:
     """The outer contours of a mask, shape (h, w), inside the hull of a region."""
-    inside = np.zeros_like(mask)
-    cv2.fillConvexPoly(inside, region.hull, 255)
-    yield from contours_of(mask & inside, part, name)
+    x, y, width, height = cv2.boundingRect(region.hull)
+    inside = np.zeros((height, width), np.uint8)
+    cv2.fillConvexPoly(inside, region.hull - np.array([x, y], np.int32), 255)
+    yield from contours_of(mask[y : y + height, x : x + width] & inside, part, name, (x, y))
 
 
-def contours_of(mask: Image, part: Part, name: str = "") -> Iterator[Shape]:
-    """The outer contours of a mask, shape (h, w)."""
-    for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]:
+def contours_of(mask: Image, part: Part, name: str = "", offset: tuple[int, int] = (0, 0)) -> Iterator[Shape]:
+    """The outer contours of a mask, shape (h, w), whose first pixel is at an offset (x, y)."""
+    mask = np.ascontiguousarray(mask)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset)
+    for contour in contours:
         if cv2.arcLength(contour, closed=True) >= MIN_CONTOUR_PX:
             yield Shape(part, Form.LOOP, contour.reshape(-1, 2).astype(np.float64), name)
 

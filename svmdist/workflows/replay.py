@@ -86,7 +86,8 @@ class MultiInstrumentEstimator:
         self.looks_for_tool = not setup.is_given and setup.method != "kinematic"
         known = {} if own else checks
         self._contradictions = {name: one.contradiction(setup.method) for name, one in known.items()}
-        self.needs: Needs = self._estimators[0].needs
+        needs: Needs = self._estimators[0].needs
+        self.needs = needs.left_alone() if left_alone else needs
         self.keeps_state: bool = self._estimators[0].keeps_state
 
     def estimate(self, frames: Sequence[Frame], spent_s: Mapping[str, float]) -> Replayed:

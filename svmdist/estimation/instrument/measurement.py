@@ -112,7 +112,7 @@ class LinkMeasurement:
     """
 
     name: str
-    in_view: Callable[[LinkMeasurement, Array], Seen | None]  # about a pose of the link, (4, 4); None: not to be seen
+    in_view: InView  # about a pose of the link, (4, 4); None: not to be seen
     covariance: Array  # of the noise, which changes from frame to frame, shape (m, m)
     link: str | None = None
     source: str = ""  # the detection that it is made of

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -53,12 +54,13 @@ class Wrist:
     jaws: Array  # unit vectors of each along it to its tip, away from the other jaw and across both, (2, 3, 3)
 
 
-def wrist_in_tool(chain: dh.DHChain, q: Array) -> Wrist:
+def wrist_in_tool(chain: dh.DHChain, q: Array, frames: Array | None = None) -> Wrist:
     """The wrist in the tool frame at joints `q`, shape (n_joints,); raises KinematicsError for a chain without one.
 
-    The shaft turns about itself, the wrist about its hinge and the tool, and a jaw may open.
+    The shaft turns about itself, the wrist about its hinge and the tool, and a jaw may open. `frames` are the poses of
+    all rows' frames there, where they are known.
     """
-    rows, frames = dh.rows_behind_insertion(chain), dh.frame_transforms(chain, q)
+    rows, frames = dh.rows_behind_insertion(chain), dh.frame_transforms(chain, q) if frames is None else frames
     if len(rows) < 3:
         raise KinematicsError("the chain has no wrist: nothing slides, or less than three joints turn behind it")
     T_base_tool = frames[-1] @ chain.T_last_tool
@@ -68,14 +70,19 @@ def wrist_in_tool(chain: dh.DHChain, q: Array) -> Wrist:
     if jaw:
         jaw_axis, opening_rad = jaw[0][0], float(q[np.searchsorted(chain.moving_rows, rows[3])])
     hinge_m, shaft, pivot, jaw_axis = np.stack([hinge_m - tool_m, shaft, pivot, jaw_axis]) @ R
-    return Wrist(hinge_m, np.zeros(3), shaft, pivot, _jaws(straight_jaws(chain), jaw_axis, opening_rad))
+    return Wrist(hinge_m, np.zeros(3), shaft, pivot, _jaws(_straight(chain)[0], jaw_axis, opening_rad))
 
 
-def straight_jaws(chain: dh.DHChain) -> Array:
-    """Where jaws point in the tool frame, a unit vector, (3,): along the shaft of a straight wrist."""
+@lru_cache(maxsize=16)
+def _straight(chain: dh.DHChain) -> tuple[Array, float]:
+    """Of a straight wrist, where jaws point in the tool frame, a unit vector, (3,), and how far off the hinge is in m.
+
+    It is the same for every pose.
+    """
     frames = dh.frame_transforms(chain, np.zeros(len(chain.joint_names)))
-    shaft, _ = dh.joint_axis(chain, frames, dh.rows_behind_insertion(chain)[0])
-    return np.asarray((frames[-1] @ chain.T_last_tool)[:3, :3].T @ shaft)
+    (shaft, _), (_, hinge_m) = (dh.joint_axis(chain, frames, row) for row in dh.rows_behind_insertion(chain)[:2])
+    T_base_tool = frames[-1] @ chain.T_last_tool
+    return np.asarray(T_base_tool[:3, :3].T @ shaft), float(np.linalg.norm(T_base_tool[:3, 3] - hinge_m))
 
 
 def joints_of(chain: dh.DHChain | None, joints: JointSample | None) -> Array | None:
@@ -118,9 +125,9 @@ class InstrumentModel:
         chain, pose, q = self.chain, tool.pose, joints_of(self.chain, tool.joints)
         if chain is None or q is None:
             return capsules_about(self.instrument, self._wrist_without_joints(pose), pose.jaw_scale)
-        body = capsules_about(self.instrument, wrist_in_tool(chain, q), pose.jaw_scale)
+        frames = dh.frame_transforms(chain, q)
+        body = capsules_about(self.instrument, wrist_in_tool(chain, q, frames), pose.jaw_scale)
         if tool.has_plate and (tag := self.fiducial) is not None:
-            frames = dh.frame_transforms(chain, q)
             T_tool_link = inverse(frames[-1] @ chain.T_last_tool) @ frames[dh.row_index(chain, tag.link)]
             body = join(body, plate_capsules(tag).transformed(T_tool_link @ tag.T_link_tag))
         return body.transformed(pose.T_camera_tool)
@@ -130,11 +137,9 @@ class InstrumentModel:
         side = cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         pivot = side / np.linalg.norm(side)
         if chain is not None and pose.hinge is not None:
-            hinge_m, jaws = pose.hinge.position_m, pose.T_camera_tool[:3, :3] @ straight_jaws(chain)
+            hinge_m, jaws = pose.hinge.position_m, pose.T_camera_tool[:3, :3] @ _straight(chain)[0]
         else:
-            length_m = WRIST_LENGTH_PER_RADIUS * self.instrument.wrist_radius_m
-            if chain is not None:
-                length_m = float(np.linalg.norm(wrist_in_tool(chain, np.zeros(len(chain.joint_names))).hinge_m))
+            length_m = _straight(chain)[1] if chain else WRIST_LENGTH_PER_RADIUS * self.instrument.wrist_radius_m
             hinge_m, jaws = pose.position_m - length_m * axis, axis
         return Wrist(hinge_m, pose.position_m, axis, pivot, _jaws(jaws, pivot, 0.0))
 
