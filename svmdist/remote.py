@@ -18,6 +18,7 @@ from pathlib import Path, PurePosixPath
 from threading import Thread
 from typing import Any, BinaryIO, TypeVar, cast
 from urllib.parse import quote, unquote, urlsplit
+from weakref import finalize
 
 from svmdist.errors import QUERY, USER, concealed
 
@@ -160,7 +161,7 @@ class RemoteFile:
             # Of servers only the web's may give a file whole, whatever part is asked for.
             is_web = self.url.lower().startswith(("http:", "https:"))
             if is_web and not _answered(filesystem.info, path).get("partial"):
-                return open(_copy_of(self.url, os.getpid())[1], "rb")
+                return open(_copy_of(self.url, os.getpid()).path, "rb")
             file = _answered(partial(filesystem.open, path, mode, block_size=BLOCK_BYTES, cache_type="blockcache"))
             if isinstance(file, io.BytesIO):  # of a store in memory, which has one position for all readers
                 return io.BytesIO(file.getvalue())
@@ -192,20 +193,29 @@ class RemoteFile:
 LogPath = Path | RemoteFile  # where a log may be: a file or folder, or a URL
 
 
+@dataclass(frozen=True, slots=True, weakref_slot=True)
+class _Copy:
+    """A copy of a file, by the path to open it by; it goes with this."""
+
+    path: str
+
+
 @lru_cache(FILES_KEPT)
-def _copy_of(url: str, process: int) -> tuple[Any, str]:  # noqa: ARG001  (each process has its own connections)
-    """A copy of a file that its server gives whole only: what keeps it, and the path to open it by."""
+def _copy_of(url: str, process: int) -> _Copy:  # noqa: ARG001  (each process has its own connections)
+    """A copy of a file that its server gives whole only."""
     filesystem, path = filesystem_of(url)
     kept: Any
     if sys.platform == "linux":  # without a name: nothing is left of it when the process is killed
         kept = tempfile.TemporaryFile()  # noqa: SIM115
-        name = f"/proc/self/fd/{kept.fileno()}"
+        copied = _Copy(f"/proc/self/fd/{kept.fileno()}")
+        finalize(copied, kept.close)
     else:
         kept = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-        name = os.path.join(kept.name, "copy")
-    with filesystem.open(path, "rb", block_size=0) as file, open(name, "wb") as copy:
+        copied = _Copy(os.path.join(kept.name, "copy"))
+        finalize(copied, kept.cleanup)
+    with filesystem.open(path, "rb", block_size=0) as file, open(copied.path, "wb") as copy:
         shutil.copyfileobj(file, copy, BLOCK_BYTES)
-    return kept, name
+    return copied
 
 
 def listed_urls(url: str, endings: tuple[str, ...], *, is_glob: bool) -> list[RemoteFile]:
