@@ -268,7 +268,7 @@ ENDS = ShaftSizes(Instrument(**{**dict(PROFILE.instrument), "outline_end_m": 0.0
 def test_two_ends_are_those_of_shaft_and_wrist_or_one_is_nothing(other_px, kept, most_share):
     """A dark part that ends 9 mm before the outline is the shaft, 14 mm before the jaws' joint, 20 before closed tips.
 
-    One 40 mm before it is a band, blood or a label.
+    One 40 mm before it is a band, blood or a label, unless another instrument ends the outline: then nothing tells.
     """
     sides = np.array([[[0.0, 0.0], [300.0, 0.0]], [[0.0, 80.0], [300.0, 80.0]]])
     end_px, small = np.array([300.0, 40.0]), np.zeros((2, 2), np.bool_)
@@ -277,6 +277,9 @@ def test_two_ends_are_those_of_shaft_and_wrist_or_one_is_nothing(other_px, kept,
     assert likelier.ends_dark is kept
     assert likelier.other_share < most_share
     assert likelier.end_px[0] == pytest.approx(300.0 if kept else 300.0 + other_px)
+    beside_another = ENDS.with_likelier_end(replace(seen, touches_another=True), 2e-4)
+    assert beside_another.ends_dark is kept
+    assert max(likelier.other_share, 0.0 if kept else 0.3) < beside_another.other_share < 0.5
 
 
 def test_an_outline_beyond_which_nothing_is_seen_ends_anywhere_up_to_the_tips():

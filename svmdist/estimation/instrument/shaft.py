@@ -191,7 +191,8 @@ class ShaftSizes:
         """The instrument with the other one of its two ends, where these are not as far apart as shaft and wrist are.
 
         What ends on a shaft without being its end is anywhere in the stretch that was searched. The outline is as
-        likely to end where the wrist narrows as at the jaws' joint, or at the tips of straight jaws. Where the shaft
+        likely to end where the wrist narrows as at the jaws' joint, or at the tips of straight jaws; where another
+        instrument touches it, as likely anywhere as at one of these, since that one may hide the rest. Where the shaft
         and what is as wide beyond it may end next to the border already, the sides are a wrist's: no shaft is shown.
         """
         collar_widths = (self.end_m + self.outline_end_m) / (2.0 * self.radius_m)
@@ -205,6 +206,8 @@ class ShaftSizes:
         std_m = np.array([near_std_m, near_std_m, np.linalg.norm([near_std_m, self.jaw_tip_std_m])])
         p = np.exp(-0.5 * ((apart_m - mean_m) / std_m) ** 2) / (np.sqrt(2.0 * np.pi) * std_m)
         density = LONGEST_WRIST * 2.0 * self.radius_m * float(p.mean())
+        if seen.touches_another:
+            density = 0.5 * (density + 1.0)
         own, other = (density, 1.0) if seen.ends_dark else (1.0, density)
         own, other = own * (1.0 - seen.other_share), other * seen.other_share
         share = other / (own + other)
