@@ -165,9 +165,7 @@ def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterat
 
 def contours_of(mask: Image, part: Part, name: str = "", offset: tuple[int, int] = (0, 0)) -> Iterator[Shape]:
     """The outer contours of a mask, shape (h, w), whose first pixel is at an offset (x, y)."""
-    mask = np.ascontiguousarray(mask)
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset)
-    for contour in contours:
+    for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset)[0]:
         if cv2.arcLength(contour, closed=True) >= MIN_CONTOUR_PX:
             yield Shape(part, Form.LOOP, contour.reshape(-1, 2).astype(np.float64), name)
 
